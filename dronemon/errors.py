@@ -1,0 +1,75 @@
+"""Every error that dronemon raises on purpose.
+
+    DronemonError
+      MissionFileError        the mission file cannot be flown as written      exit 2
+      VehicleError            the vehicle or the link to it                    exit 3
+        LinkTimeout           nothing heard in time
+        LinkLost              heard before, silent now
+        CommandRejected       the autopilot said no
+        CommandUnconfirmed    the autopilot said yes, telemetry does not show it
+      CameraError             no picture, or not in time                       exit 4
+      BeliefError             observations a Gaussian process cannot take      exit 5
+      PolicyError             weights or features of the learned policy        exit 2
+        CheckpointMismatch    the file is not the network that was asked for
+
+A message states the fact, the value, the limit and the next step. Foreign exceptions become one of
+these at their one seam.
+"""
+
+from __future__ import annotations
+
+
+class DronemonError(Exception):
+    """Base of all errors below; `exit_code` is what the command line returns for it."""
+
+    exit_code = 1
+
+
+class MissionFileError(DronemonError):
+    """The mission file cannot be flown as written; the message names file, line and key."""
+
+    exit_code = 2
+
+
+class VehicleError(DronemonError):
+    """The vehicle, or the link to it, does not do what the mission needs."""
+
+    exit_code = 3
+
+
+class LinkTimeout(VehicleError):
+    """Nothing was heard within the limit."""
+
+
+class LinkLost(VehicleError):
+    """The vehicle was heard before and is silent now."""
+
+
+class CommandRejected(VehicleError):
+    """The autopilot refused a command."""
+
+
+class CommandUnconfirmed(VehicleError):
+    """The autopilot accepted a command, but telemetry never showed its effect."""
+
+
+class CameraError(DronemonError):
+    """No picture came, or not in time."""
+
+    exit_code = 4
+
+
+class BeliefError(DronemonError):
+    """Observations that a Gaussian process cannot take."""
+
+    exit_code = 5
+
+
+class PolicyError(DronemonError):
+    """Weights or features of the learned policy do not fit."""
+
+    exit_code = 2
+
+
+class CheckpointMismatch(PolicyError):
+    """A checkpoint is damaged or is not the network that was asked for."""

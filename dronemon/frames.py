@@ -1,0 +1,165 @@
+"""All conversions between frames: unit square <-> local NED <-> latitude/longitude, and pixel <->
+ground. Nothing else converts.
+
+    x_au  along the area's east side      (x, y) side_m from the corner, turned by the heading
+    y_au  along its north side            down  = ground_down_m - height
+    t_au  = t_s * cruise_speed / side     the time in which one side is flown
+
+The local NED origin is the EKF's (asked of the vehicle), which need not be home. A pixel (u, v) has
+its origin at the top left corner of
+the picture; the picture's top points to the vehicle's nose.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pymap3d
+
+from dronemon.types import CameraModel, FloatArray, Pose
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeoPoint:
+    """A place on the WGS-84 ellipsoid."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AreaFrame:
+    """The monitored square, laid into the vehicle's local NED frame.
+
+    centre_ned_m: north and east of the square's centre; heading_rad: clockwise turn of its y side
+    from north; ground_down_m: down
+    coordinate of the ground.
+    """
+
+    centre_ned_m: tuple[float, float]
+    ground_down_m: float
+    side_m: float
+    heading_rad: float
+    cruise_speed_m_s: float
+
+    @property
+    def _axes(self) -> FloatArray:
+        """(2, 2): rows are the (north, east) directions of x_au and y_au."""
+        s, c = math.sin(self.heading_rad), math.cos(self.heading_rad)
+        return np.array([[-s, c], [c, s]])
+
+    def au_to_ned(self, position_au: FloatArray) -> FloatArray:
+        """Ground coordinates of unit-square points.
+
+        Position_au: (..., 2) au -> (..., 2) north, east in m.
+        """
+        offset_m = (np.asarray(position_au, dtype=np.float64) - 0.5) * self.side_m
+        ned: FloatArray = np.asarray(self.centre_ned_m) + offset_m @ self._axes
+        return ned
+
+    def ned_to_au(self, position_ned_m: FloatArray) -> FloatArray:
+        """Unit-square coordinates of local points.
+
+        Position_ned_m: (..., 2 or 3) m, down ignored -> (..., 2) au.
+        """
+        north_east = np.asarray(position_ned_m, dtype=np.float64)[..., :2]
+        au: FloatArray = (
+            north_east - np.asarray(self.centre_ned_m)
+        ) @ self._axes.T / self.side_m + 0.5
+        return au
+
+    def s_to_au(self, duration_s: float) -> float:
+        """Mission time of a vehicle duration."""
+        return duration_s * self.cruise_speed_m_s / self.side_m
+
+    def au_to_s(self, duration_au: float) -> float:
+        """Vehicle duration of a mission time."""
+        return duration_au * self.side_m / self.cruise_speed_m_s
+
+    def height_m(self, down_m: float) -> float:
+        """Height above the ground of a down coordinate."""
+        return self.ground_down_m - down_m
+
+
+def geo_to_ned(point: GeoPoint, origin: GeoPoint) -> FloatArray:
+    """Local coordinates of a geographic point. -> (3,) north, east, down in m from `origin`."""
+    north, east, down = pymap3d.geodetic2ned(
+        point.latitude_deg,
+        point.longitude_deg,
+        point.altitude_m,
+        origin.latitude_deg,
+        origin.longitude_deg,
+        origin.altitude_m,
+    )
+    return np.array([north, east, down], dtype=np.float64)
+
+
+def ned_to_geo(position_ned_m: FloatArray, origin: GeoPoint) -> GeoPoint:
+    """Geographic point of local coordinates. position_ned_m: (3,) m."""
+    latitude, longitude, altitude = pymap3d.ned2geodetic(
+        *(float(v) for v in position_ned_m),
+        origin.latitude_deg,
+        origin.longitude_deg,
+        origin.altitude_m,
+    )
+    return GeoPoint(
+        latitude_deg=float(latitude), longitude_deg=float(longitude), altitude_m=float(altitude)
+    )
+
+
+def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
+    """Rotation matrix from (forward, right, down) to (north, east, down). -> (3, 3)."""
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in attitude_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def pixel_to_ground(
+    pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+) -> FloatArray:
+    """Where the rays of pixels meet the ground plane. pixel_px: (..., 2) u, v -> (..., 2) north,
+    east in m; NaN at or above the horizon.
+
+    The camera's axes in the body frame: right of the picture = right, top of the picture = forward,
+    optical axis = down.
+    """
+    pixel = np.asarray(pixel_px, dtype=np.float64)
+    forward = (camera.height_px / 2.0 - pixel[..., 1]) / camera.focal_px
+    right = (pixel[..., 0] - camera.width_px / 2.0) / camera.focal_px
+    ray_ned = (
+        np.stack([forward, right, np.ones_like(right)], axis=-1) @ body_to_ned(pose.attitude_rad).T
+    )
+    height_m = ground_down_m - pose.position_ned_m[2]
+    down = ray_ned[..., 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(down > 1e-6, height_m / down, np.nan)
+    ground: FloatArray = np.asarray(pose.position_ned_m[:2]) + ray_ned[..., :2] * scale
+    return ground
+
+
+def ground_to_pixel(
+    ground_ned_m: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+) -> FloatArray:
+    """Pixels at which points of the ground plane appear.
+
+    Ground_ned_m: (..., 2) m -> (..., 2) u, v; NaN behind the camera.
+    """
+    ground = np.asarray(ground_ned_m, dtype=np.float64)
+    point = np.concatenate([ground, np.full((*ground.shape[:-1], 1), ground_down_m)], axis=-1)
+    forward, right, down = np.moveaxis(
+        (point - np.asarray(pose.position_ned_m)) @ body_to_ned(pose.attitude_rad), -1, 0
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(down > 1e-6, camera.focal_px / down, np.nan)
+    pixel: FloatArray = np.stack(
+        [camera.width_px / 2.0 + right * scale, camera.height_px / 2.0 - forward * scale], axis=-1
+    )
+    return pixel

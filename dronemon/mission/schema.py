@@ -1,0 +1,277 @@
+"""What a mission file may say: frozen models with units in their keys, defaults and bounds. One
+mission is one flight.
+
+`sim` reads the same file for the simulated world, so that one YAML is one flight and, for the mock,
+one world.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from dronemon.types import CameraModel
+
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+APPEARANCES = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
+"""Animals that the built-in detector tells apart."""
+Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
+SENSOR_RADIUS_AU = 0.1
+"""Radius of the circular sensor footprint. Source: paper, section III-B."""
+MEASUREMENT_INTERVAL_AU = 0.1
+"""Distance flown between two measurements. Source: paper, section IV-D."""
+
+
+class Section(BaseModel):
+    """A part of a mission file: immutable, and unknown keys are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False)
+
+
+class Area(Section):
+    """The monitored square. Without latitude and longitude its centre is home."""
+
+    side_m: float = Field(
+        200.0, ge=10.0, le=20_000.0, description="Length of the square's side; one au."
+    )
+    heading_deg: float = Field(
+        0.0,
+        ge=-360.0,
+        le=360.0,
+        description="Clockwise turn of the square's north side from north.",
+    )
+    latitude_deg: float | None = Field(
+        None, ge=-90.0, le=90.0, description="Latitude of the centre; home if absent."
+    )
+    longitude_deg: float | None = Field(
+        None, ge=-180.0, le=180.0, description="Longitude of the centre; home if absent."
+    )
+
+    @model_validator(mode="after")
+    def _both_or_neither(self) -> Area:
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ValueError(
+                "give latitude_deg and longitude_deg together, or neither (the area is then centred
+                on home)"
+            )
+        return self
+
+
+class Flight(Section):
+    """How the drone flies."""
+
+    altitude_m: float = Field(
+        35.0, ge=2.0, le=500.0, description="Height above the take-off point on patrol."
+    )
+    cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0, description="Ground speed on patrol.")
+    max_acceleration_m_s2: float = Field(
+        4.0, ge=0.5, le=10.0, description="Horizontal acceleration that guidance asks for."
+    )
+    horizon_au: float | None = Field(
+        None,
+        gt=0.0,
+        le=1000.0,
+        description="Patrol length in sides of the area; 30 if horizon_min is absent too.",
+    )
+    horizon_min: float | None = Field(
+        None,
+        gt=0.0,
+        le=600.0,
+        description="Patrol length in minutes of cruise, instead of horizon_au.",
+    )
+    return_battery: Fraction = Field(
+        0.25, description="Battery level (0 to 1) at which the drone returns."
+    )
+    endurance_min: float = Field(
+        30.0,
+        gt=0.0,
+        le=600.0,
+        description="Flight time of a full battery; the check before take-off uses it.",
+    )
+    start_au: tuple[Fraction, Fraction] | None = Field(
+        None, description="Where the patrol starts; drawn from the seed if absent."
+    )
+
+    @model_validator(mode="after")
+    def _one_horizon(self) -> Flight:
+        if self.horizon_au is not None and self.horizon_min is not None:
+            raise ValueError("give horizon_au or horizon_min, not both")
+        return self
+
+
+class Vehicle(Section):
+    """The vehicle and the limits on waiting for it."""
+
+    url: str = Field(
+        "mock",
+        description="`mock`, or where MAVLink comes from: udpin://IP:PORT, tcpout://IP:PORT, "
+        "serial://DEV:BAUD.",
+    )
+    speed_up: float = Field(
+        10.0, ge=1.0, le=20.0, description="How much faster than real time the mock flies."
+    )
+    connect_timeout_s: float = Field(
+        10.0, gt=0.0, le=300.0, description="Wall-clock wait for the first heartbeat."
+    )
+    ready_timeout_s: float = Field(
+        60.0,
+        gt=0.0,
+        le=600.0,
+        description="Vehicle-time wait for sensors, position and arming checks.",
+    )
+    command_timeout_s: float = Field(
+        10.0, ge=3.0, le=120.0, description="Wait until telemetry confirms a command."
+    )
+    link_loss_timeout_s: float = Field(
+        5.0, ge=1.0, le=60.0, description="Silence after which the link counts as lost."
+    )
+
+    @model_validator(mode="after")
+    def _known_url(self) -> Vehicle:
+        if self.url != "mock" and not re.match(
+            r"^(udpin|udpout|tcpin|tcpout|serial)://\S+$", self.url
+        ):
+            raise ValueError(
+                f"url {self.url!r} is neither `mock` nor a MAVLink URL such as "
+                "udpin://127.0.0.1:14540 or serial:///dev/ttyACM0:57600"
+            )
+        return self
+
+    @property
+    def is_mock(self) -> bool:
+        """Whether the built-in kinematic autopilot flies."""
+        return self.url == "mock"
+
+
+class Camera(Section):
+    """The downward camera."""
+
+    width_px: int = Field(640, ge=64, le=8192)
+    height_px: int = Field(480, ge=64, le=8192)
+    horizontal_fov_deg: float = Field(
+        90.0, ge=10.0, le=150.0, description="Angle of view from the left to the right edge."
+    )
+    timeout_s: float = Field(5.0, gt=0.0, le=60.0, description="Wall-clock wait for a picture.")
+
+    @property
+    def model(self) -> CameraModel:
+        """The pinhole model of this camera."""
+        return CameraModel(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            horizontal_fov_rad=math.radians(self.horizontal_fov_deg),
+        )
+
+
+class Detector(Section):
+    """How animals are found in pictures."""
+
+    min_score: Fraction = Field(0.5, description="Detections less certain than this are dropped.")
+
+
+class Target(Section):
+    """One animal to watch."""
+
+    name: str = Field(min_length=1, max_length=40)
+    appearance: Appearance
+    prior_au: tuple[Fraction, Fraction] | Literal["simulated"] | None = Field(
+        None,
+        description="Position known before take-off; `simulated` takes it from the simulated world; "
+        "absent: unknown.",
+    )
+
+
+class Belief(Section):
+    """Kernel of the Gaussian processes. Source: paper, section III-C."""
+
+    length_scale_au: float = Field(0.1, gt=0.0, le=1.0, description="Spatial length scale.")
+    time_scale_au: float = Field(3.0, gt=0.0, le=100.0, description="Temporal length scale.")
+    prediction_au: float = Field(
+        2.0, gt=0.0, le=10.0, description="How far ahead the planner's second posterior looks."
+    )
+
+
+class Roadmap(Section):
+    """The random roadmap."""
+
+    num_nodes: int = Field(200, ge=10, le=2000)
+    num_neighbours: int = Field(
+        10, ge=2, le=50, description="Nearest neighbours each node is joined to, itself included."
+    )
+
+
+class Planner(Section):
+    """What chooses the waypoints."""
+
+    kind: str = Field("tsp", description="Name of a planner; `dronemon planners` lists them.")
+    checkpoint: str | None = Field(None, description="Trained weights of a learned planner.")
+
+
+class Simulation(Section):
+    """The simulated world; a real vehicle over real animals ignores it."""
+
+    seed: int = Field(0, ge=0)
+    speed_ratio: float = Field(0.05, ge=0.0, lt=1.0, description="Targets' speed over the drone's.")
+    wind_m_s: float = Field(0.0, ge=0.0, le=15.0, description="Mean wind speed.")
+    wind_from_deg: float = Field(270.0, ge=0.0, le=360.0)
+
+
+class View(Section):
+    """The live view."""
+
+    live: bool = Field(False, description="Serve the Rerun viewer while flying.")
+    port: int = Field(
+        9876, ge=1024, le=65535, description="Port of the viewer's data on 127.0.0.1."
+    )
+
+
+class Record(Section):
+    """The run folder."""
+
+    pictures: bool = Field(True, description="Keep the pictures in flight.rrd.")
+
+
+class Mission(Section):
+    """One flight."""
+
+    name: str = Field("mission", min_length=1, max_length=80)
+    area: Area = Area()
+    flight: Flight = Flight()
+    vehicle: Vehicle = Vehicle()
+    camera: Camera = Camera()
+    detector: Detector = Detector()
+    targets: tuple[Target, ...] = Field(min_length=1, max_length=len(APPEARANCES))
+    belief: Belief = Belief()
+    roadmap: Roadmap = Roadmap()
+    planner: Planner = Planner()
+    simulation: Simulation = Simulation()
+    view: View = View()
+    record: Record = Record()
+
+    @property
+    def horizon_au(self) -> float:
+        """Patrol length."""
+        if self.flight.horizon_min is not None:
+            return self.flight.horizon_min * 60.0 * self.flight.cruise_speed_m_s / self.area.side_m
+        return self.flight.horizon_au if self.flight.horizon_au is not None else 30.0
+
+    @property
+    def patrol_duration_s(self) -> float:
+        """Duration of the patrol at cruise speed."""
+        return self.horizon_au * self.area.side_m / self.flight.cruise_speed_m_s
+
+    @property
+    def sensor_radius_m(self) -> float:
+        """Radius of the circular footprint on the ground."""
+        return SENSOR_RADIUS_AU * self.area.side_m
+
+    @property
+    def needed_altitude_m(self) -> float:
+        """Height from which a level camera sees the whole footprint in its shorter direction."""
+        half_angle = (
+            min(self.camera.model.horizontal_fov_rad, self.camera.model.vertical_fov_rad) / 2.0
+        )
+        return self.sensor_radius_m / math.tan(half_angle)

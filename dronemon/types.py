@@ -1,0 +1,90 @@
+"""Values that cross layers, all immutable. Arrays are float64 unless they say otherwise.
+
+Units are the last word of a name: `_au` unit-square lengths (and the time in which one is flown),
+`_m`, `_s`, `_rad`, `_px`;
+a frame comes with it: `_ned_m` is north, east, down in metres from the vehicle's local origin.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+ImageArray = NDArray[np.uint8]
+Vector3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Where the vehicle is, how it moves and how it is tilted, at one instant of vehicle time."""
+
+    time_s: float
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    attitude_rad: Vector3
+    """Roll, pitch, yaw: rotations about forward, right, down (aerospace ZYX order)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraModel:
+    """A pinhole camera without distortion.
+
+    It looks straight down from a level vehicle, the picture's top towards its nose.
+    """
+
+    width_px: int
+    height_px: int
+    horizontal_fov_rad: float
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length; pixels are square."""
+        return self.width_px / 2.0 / math.tan(self.horizontal_fov_rad / 2.0)
+
+    @property
+    def vertical_fov_rad(self) -> float:
+        """Angle of view from the top to the bottom edge."""
+        return 2.0 * math.atan(self.height_px / 2.0 / self.focal_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """One camera picture. image: (height, width, 3) uint8 BGR; time_s: vehicle time at capture."""
+
+    time_s: float
+    image: ImageArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detection:
+    """One animal found in one picture.
+
+    `pixel_px` is (u, v) of its centre on the ground, u right and v down from the top left.
+    """
+
+    appearance: str
+    pixel_px: tuple[float, float]
+    score: float
+    """Confidence in the class, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurement:
+    """What the binary sensor said about every target at one instant.
+
+    time_au: mission time; agent_au: (2,) agent's position; seen: (N,) bool; target_au: (N, 2)
+    position of each target seen, NaN
+    where it was not.
+    Source: paper, equation 1.
+    """
+
+    time_au: float
+    agent_au: FloatArray
+    seen: BoolArray
+    target_au: FloatArray
