@@ -1,13 +1,13 @@
-"""All conversions between frames: unit square <-> local NED <-> latitude/longitude, and pixel <->
-ground. Nothing else converts.
+"""All conversions: unit square <-> local NED <-> latitude/longitude, and pixel <-> ground.
+
+Nothing else converts.
 
     x_au  along the area's east side      (x, y) side_m from the corner, turned by the heading
     y_au  along its north side            down  = ground_down_m - height
     t_au  = t_s * cruise_speed / side     the time in which one side is flown
 
 The local NED origin is the EKF's (asked of the vehicle), which need not be home. A pixel (u, v) has
-its origin at the top left corner of
-the picture; the picture's top points to the vehicle's nose.
+its origin at the top left corner of the picture; the picture's top points to the vehicle's nose.
 """
 
 from __future__ import annotations
@@ -125,8 +125,9 @@ def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
 def pixel_to_ground(
     pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
 ) -> FloatArray:
-    """Where the rays of pixels meet the ground plane. pixel_px: (..., 2) u, v -> (..., 2) north,
-    east in m; NaN at or above the horizon.
+    """Where the rays of pixels meet the ground plane; NaN at or above the horizon.
+
+    pixel_px: (..., 2) u, v -> (..., 2) north, east in m.
 
     The camera's axes in the body frame: right of the picture = right, top of the picture = forward,
     optical axis = down.

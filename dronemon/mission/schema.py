@@ -1,8 +1,7 @@
-"""What a mission file may say: frozen models with units in their keys, defaults and bounds. One
-mission is one flight.
+"""What a mission file may say: frozen models with units in their keys, defaults and bounds.
 
-`sim` reads the same file for the simulated world, so that one YAML is one flight and, for the mock,
-one world.
+One mission is one flight. `sim` reads the same file for the simulated world, so that one YAML is
+one flight and, for the mock, one world.
 """
 
 from __future__ import annotations
@@ -54,8 +53,8 @@ class Area(Section):
     def _both_or_neither(self) -> Area:
         if (self.latitude_deg is None) != (self.longitude_deg is None):
             raise ValueError(
-                "give latitude_deg and longitude_deg together, or neither (the area is then centred
-                on home)"
+                "give latitude_deg and longitude_deg together, or neither: "
+                "the area is then centred on home"
             )
         return self
 
@@ -179,8 +178,8 @@ class Target(Section):
     appearance: Appearance
     prior_au: tuple[Fraction, Fraction] | Literal["simulated"] | None = Field(
         None,
-        description="Position known before take-off; `simulated` takes it from the simulated world; "
-        "absent: unknown.",
+        description="Position known before take-off; `simulated` takes it from the "
+        "simulated world; absent: unknown.",
     )
 
 
