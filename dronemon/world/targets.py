@@ -1,0 +1,120 @@
+"""Where targets are: each walks at constant speed along a short path through random points.
+
+Source: paper, section V ("pre-solved TSP patterns, each consisting of 50 randomly generated
+nodes").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dronemon.types import FloatArray, IntArray
+
+POINTS_PER_PATH = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetPaths:
+    """Open paths of all targets; a target that reaches the end of its path walks it back.
+
+    points_au: (N, P, 2) float64 au, each path's points in the order in which they are visited
+    """
+
+    points_au: FloatArray
+
+    @classmethod
+    def random(cls, num_targets: int, rng: np.random.Generator) -> TargetPaths:
+        """Draw one path per target; the first targets of a larger draw are those of a smaller one.
+
+        The two ends of a path are uniform random points, as in the authors' release, so targets
+        start uniformly in the square; only the order of the points between them is shortened.
+        """
+        drawn = [rng.random((POINTS_PER_PATH, 2)) for _ in range(num_targets)]
+        return cls(points_au=np.stack([points[short_path_order(points)] for points in drawn]))
+
+    @property
+    def num_targets(self) -> int:
+        """N."""
+        return int(self.points_au.shape[0])
+
+    @cached_property
+    def _marks_au(self) -> FloatArray:
+        """(N, P) arc length at which each point is reached."""
+        steps = np.diff(self.points_au, axis=1)
+        lengths = np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2)
+        marks: FloatArray = np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0)))
+        return marks
+
+    @property
+    def lengths_au(self) -> FloatArray:
+        """(N,) length of each path: 4.9 to 6.6 au, where the paper's fastest targets walk 4.3."""
+        lengths: FloatArray = self._marks_au[:, -1]
+        return lengths
+
+    def _arcs_au(self, target: int, distance_au: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Distance walked -> arc length from the path's start, and direction: +1 out, -1 back."""
+        length = self.lengths_au[target]
+        phase = np.mod(distance_au, 2.0 * length)
+        is_back = phase > length
+        return np.where(is_back, 2.0 * length - phase, phase), np.where(is_back, -1.0, 1.0)
+
+    def positions_au(self, distance_au: float | FloatArray) -> FloatArray:
+        """Targets' positions after a distance walked. () or (S,) au -> (N, 2) or (S, N, 2) au."""
+        walked = np.asarray(distance_au, dtype=np.float64)
+        places = []
+        for target, (points, marks) in enumerate(zip(self.points_au, self._marks_au, strict=True)):
+            arcs, _ = self._arcs_au(target, walked)
+            places.append(np.stack([np.interp(arcs, marks, points[:, k]) for k in (0, 1)], axis=-1))
+        return np.stack(places, axis=-2)
+
+    def headings_rad(self, distance_au: float | FloatArray) -> FloatArray:
+        """Headings in which targets walk, from the x axis towards y. () or (S,) au -> (N,) or (S, N) rad."""
+        walked = np.asarray(distance_au, dtype=np.float64)
+        headings = []
+        for target, (points, marks) in enumerate(zip(self.points_au, self._marks_au, strict=True)):
+            arcs, direction = self._arcs_au(target, walked)
+            segment = np.clip(np.searchsorted(marks, arcs, side="right") - 1, 0, len(marks) - 2)
+            step = (points[segment + 1] - points[segment]) * direction[..., None]
+            headings.append(np.arctan2(step[..., 1], step[..., 0]))
+        return np.stack(headings, axis=-1)
+
+
+def short_path_order(points_au: FloatArray) -> IntArray:
+    """Order of a short open path from the first point to the second: nearest neighbour and 2-opt.
+
+    Only correctly rounded elementwise operations decide, so the order is the same on any machine.
+
+    points_au: (P, 2) -> (P,) indices, 0 first and 1 last
+    """
+    offsets = points_au[:, None] - points_au[None]
+    distances = np.sqrt(offsets[..., 0] ** 2 + offsets[..., 1] ** 2)
+    order = _nearest_neighbour_order(distances)
+    num_legs = len(order) - 1
+    is_pair = np.triu(np.ones((num_legs, num_legs), dtype=bool), k=2)
+    while True:
+        along = distances[np.ix_(order, order)]
+        legs = along[np.arange(num_legs), np.arange(1, num_legs + 1)]
+        # Cutting legs i and j and walking what lies between them backwards.
+        change = along[:-1, :-1] + along[1:, 1:] - legs[:, None] - legs[None]
+        change[~is_pair] = 0.0
+        first, second = divmod(int(np.argmin(change)), num_legs)
+        if change[first, second] > -1e-9:
+            return order
+        order[first + 1 : second + 1] = order[first + 1 : second + 1][::-1]
+
+
+def _nearest_neighbour_order(distances: FloatArray) -> IntArray:
+    """Order from point 0, always to the nearest point left, point 1 last. (P, P) -> (P,)."""
+    count = len(distances)
+    is_left = np.ones(count, dtype=bool)
+    is_left[:2] = False
+    order = np.zeros(count, dtype=np.int64)
+    order[-1] = 1
+    for position in range(1, count - 1):
+        nearest = int(np.argmin(np.where(is_left, distances[order[position - 1]], np.inf)))
+        order[position] = nearest
+        is_left[nearest] = False
+    return order
