@@ -28,7 +28,7 @@ class Instance:
 
     @classmethod
     def draw(cls, seed: int, num_targets: int) -> Instance:
-        """Draw a seed's instance; start and first targets do not depend on the number of targets."""
+        """Draw a seed's instance; its first targets do not depend on how many there are."""
         return cls(
             seed=seed,
             start_au=named_stream(seed, "start").random(2),

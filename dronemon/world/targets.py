@@ -71,7 +71,7 @@ class TargetPaths:
         return np.stack(places, axis=-2)
 
     def headings_rad(self, distance_au: float | FloatArray) -> FloatArray:
-        """Headings in which targets walk, from the x axis towards y. () or (S,) au -> (N,) or (S, N) rad."""
+        """Headings of targets, from the x axis towards y. () or (S,) au -> (N,) or (S, N) rad."""
         walked = np.asarray(distance_au, dtype=np.float64)
         headings = []
         for target, (points, marks) in enumerate(zip(self.points_au, self._marks_au, strict=True)):
