@@ -11,6 +11,8 @@
       BeliefError             observations a Gaussian process cannot take      exit 5
       PolicyError             weights or features of the learned policy        exit 2
         CheckpointMismatch    the file is not the network that was asked for
+      RecordError             the run folder cannot be made, written or read   exit 6
+      ViewError               the recording or live view cannot be started     exit 7
 
 A message states the fact, the value, the limit and the next step. Foreign exceptions become one of
 these at their one seam.
@@ -73,3 +75,15 @@ class PolicyError(DronemonError):
 
 class CheckpointMismatch(PolicyError):
     """A checkpoint is damaged or is not the network that was asked for."""
+
+
+class RecordError(DronemonError):
+    """The run folder cannot be made, written or read."""
+
+    exit_code = 6
+
+
+class ViewError(DronemonError):
+    """The recording or the live view cannot be started."""
+
+    exit_code = 7
