@@ -7,6 +7,7 @@
         LinkLost              heard before, silent now
         CommandRejected       the autopilot said no
         CommandUnconfirmed    the autopilot said yes, telemetry does not show it
+        ControlTaken          the pilot or a failsafe chose another mode
       CameraError             no picture, or not in time                       exit 4
       BeliefError             observations a Gaussian process cannot take      exit 5
       PolicyError             weights or features of the learned policy        exit 2
@@ -53,6 +54,10 @@ class CommandRejected(VehicleError):
 
 class CommandUnconfirmed(VehicleError):
     """The autopilot accepted a command, but telemetry never showed its effect."""
+
+
+class ControlTaken(VehicleError):
+    """The pilot, or a failsafe of the autopilot, chose a mode that we did not ask for."""
 
 
 class CameraError(DronemonError):

@@ -1,0 +1,133 @@
+"""What a mission needs of a vehicle: its state, its clock, and commands that telemetry confirms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from dronemon.frames import GeoPoint
+from dronemon.types import Pose, Vector3
+
+
+class Mode(StrEnum):
+    """Flight modes that a mission tells apart."""
+
+    TAKEOFF = "take-off"
+    HOLD = "hold"
+    OFFBOARD = "offboard"
+    RETURN = "return"
+    LAND = "land"
+    POSITION = "position"
+    OTHER = "other"
+
+
+class Landed(StrEnum):
+    """What the autopilot's landing detector says."""
+
+    UNKNOWN = "unknown"
+    ON_GROUND = "on ground"
+    IN_AIR = "in air"
+    TAKING_OFF = "taking off"
+    LANDING = "landing"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleState:
+    """Everything slow that telemetry says; the pose comes apart, it is fast."""
+
+    mode: Mode = Mode.OTHER
+    is_armed: bool = False
+    is_failsafe: bool = False
+    is_armable: bool = False
+    landed: Landed = Landed.UNKNOWN
+    battery: float | None = None
+    """Charge left, 0 to 1; None where the vehicle does not know."""
+    home: GeoPoint | None = None
+    origin: GeoPoint | None = None
+    """Origin of the local NED frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setpoint:
+    """Where to be, how to move and where to look, at once."""
+
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    yaw_rad: float
+
+
+class VehicleLink(Protocol):
+    """A vehicle under our command; an async context manager that is connected while it is open.
+
+    Every command returns once telemetry confirms it. All raise LinkLost (silence), ControlTaken (a
+    mode that we did not ask for), CommandRejected or CommandUnconfirmed.
+    """
+
+    @property
+    def state(self) -> VehicleState:
+        """The newest state."""
+        ...
+
+    @property
+    def pose(self) -> Pose:
+        """The newest pose. Raises LinkTimeout before the first."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Vehicle time since boot of the newest pose: a link is a Clock."""
+        ...
+
+    async def next_pose(self) -> Pose:
+        """Wait for a pose newer than the last one given; a slow reader misses poses, never lags."""
+        ...
+
+    async def poses_around(self, time_s: float) -> tuple[Pose, Pose]:
+        """Wait for the poses just before and just after an instant of the recent past or future."""
+        ...
+
+    async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
+        """Wait in vehicle time until telemetry makes `condition` true; `what` says it in errors."""
+        ...
+
+    async def wait_ready(self, timeout_s: float) -> None:
+        """Wait until the vehicle knows where it is and passes its arming checks."""
+        ...
+
+    async def arm(self) -> None:
+        """Start the motors."""
+        ...
+
+    async def disarm(self) -> None:
+        """Stop the motors; only on the ground."""
+        ...
+
+    async def take_off(self, height_m: float) -> None:
+        """Climb to a height above the present place and hold there."""
+        ...
+
+    async def start_offboard(self, setpoint: Setpoint) -> None:
+        """Hand the vehicle over to our setpoints, beginning with this one."""
+        ...
+
+    async def send_setpoint(self, setpoint: Setpoint) -> None:
+        """Send one setpoint; the vehicle's own failsafe ends offboard control when they stop."""
+        ...
+
+    async def hold(self) -> None:
+        """Stop and stay."""
+        ...
+
+    async def return_home(self) -> None:
+        """Begin to fly home and land there, by the autopilot alone."""
+        ...
+
+    async def land(self) -> None:
+        """Begin to land here, by the autopilot alone."""
+        ...
+
+    def release(self) -> None:
+        """From now on any mode is welcome: whoever chose it is in control."""
+        ...
