@@ -1,0 +1,212 @@
+import json
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dronemon.errors import RecordError
+from dronemon.recorder import RUN_FILES, RunFolder, RunRecorder
+from dronemon.types import Measurement
+
+NAMES = ("Bella", "Zuri")
+MISSION = "name: Two animals\n# as the pilot wrote it: °\n"
+
+
+def create(root: Path, **options: object) -> RunRecorder:
+    return RunRecorder.create(
+        mission_text=MISSION,
+        mission_name="Two animals!",
+        target_names=NAMES,
+        root=root,
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def measurement(time_au: float = 0.1) -> Measurement:
+    return Measurement(
+        time_au=time_au,
+        agent_au=np.array([0.25, 0.5]),
+        seen=np.array([True, False]),
+        target_au=np.array([[0.3, 0.55], [np.nan, np.nan]]),
+    )
+
+
+def record_all(run: RunRecorder) -> None:
+    run.event("connect", "vehicle heard")
+    run.event("armed", "armed", time_s=3.0, battery=np.float32(0.5), mode="OFFBOARD")
+    run.observation(time_s=4.0, measurement=measurement(), score=np.array([0.9, np.nan]))
+    run.decision(
+        time_s=4.5,
+        time_au=0.12,
+        position_au=np.array([0.25, 0.5]),
+        waypoint_au=np.array([0.4, 0.6]),
+        node=np.int64(17),
+        decision_ms=3.5,
+        details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
+    )
+
+
+def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        record_all(run)
+        (run.folder.rrd_path).write_bytes(b"RRF2")
+        run.finish("landed", {"unc": 0.5, "jsd": float("nan"), "min_ob": np.int64(3)})
+    folder = RunFolder.open(run.folder.path)
+    assert folder.mission_text() == MISSION
+    assert list(folder.observations()) == [
+        {
+            "time_s": 4.0,
+            "time_au": 0.1,
+            "agent_au": [0.25, 0.5],
+            "targets": {
+                "Bella": {"seen": True, "position_au": [0.3, 0.55], "score": 0.9},
+                "Zuri": {"seen": False, "position_au": None, "score": None},
+            },
+        }
+    ]
+    (decision,) = folder.decisions()
+    assert decision["node"] == 17
+    assert decision["waypoint_au"] == [0.4, 0.6]
+    assert decision["details"] == {"gain": [1.0, None], "path": [1, 2]}
+    connect, armed = folder.events()
+    assert connect["time_s"] is None
+    assert armed["kind"] == "armed"
+    assert armed["battery"] == 0.5
+    assert armed["wall"].count("T") == 1
+    summary = folder.summary()
+    assert summary["outcome"] == "landed"
+    assert summary["targets"] == list(NAMES)
+    assert summary["jsd"] is None
+    assert summary["min_ob"] == 3
+    assert sorted(summary["files"]) == sorted(set(RUN_FILES) - {"summary.json"})
+    assert folder.damaged_files() == []
+
+
+def test_a_flipped_byte_is_found(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        run.folder.rrd_path.write_bytes(bytes(100))
+        run.finish("landed", {})
+    run.folder.rrd_path.write_bytes(bytes(50) + b"\x01" + bytes(49))
+    assert run.folder.damaged_files() == ["flight.rrd"]
+
+
+def test_the_summary_says_in_flight_until_the_end(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        assert RunFolder.open(run.folder.path).summary()["outcome"] == "in flight"
+
+
+def test_two_runs_within_a_second_get_two_folders(tmp_path: Path) -> None:
+    runs = [create(tmp_path) for _ in range(3)]
+    for run in runs:
+        run.close()
+        assert "two-animals" in run.folder.path.name
+    assert len({run.folder.path for run in runs}) == 3
+
+
+def test_a_chosen_folder_that_holds_a_run_is_refused_unharmed(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "run"
+    with create(tmp_path, out=out) as run:
+        record_all(run)
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    with pytest.raises(RecordError, match="already holds a run"):
+        create(tmp_path, out=out)
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_with_the_next_step(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordError, match=r"cannot make the run folder .*file.*--out"):
+        create(tmp_path, out=tmp_path / "file")
+    with pytest.raises(RecordError, match="--out"):
+        create(tmp_path / "file")
+
+
+def test_a_full_disk_is_found_before_the_flight(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"MB are free at .*, a flight needs"):
+        create(tmp_path, needed_bytes=10**18)
+
+
+def test_a_write_that_fails_raises_once_and_leaves_whole_lines(tmp_path: Path) -> None:
+    """A file size limit stands in for a full disk: both fail a write part of the way through."""
+    with create(tmp_path) as run:
+        run.event("armed", "armed", time_s=1.0)
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300, limits[1]))
+        try:
+            with pytest.raises(RecordError, match="free space"):
+                run.event("long", "x" * 400, time_s=2.0)
+            run.event("long", "x" * 400, time_s=3.0)
+            run.event("short", "returning", time_s=4.0)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+            signal.signal(signal.SIGXFSZ, ignored)
+        assert run.lost_lines == 2
+        run.finish("failed", {})
+    assert [event["kind"] for event in run.folder.events()] == ["armed", "short"]
+    assert run.folder.summary()["lost_lines"] == 2
+
+
+WRITER = """
+import itertools, sys
+from pathlib import Path
+from dronemon.recorder import RunRecorder
+run = RunRecorder.create(mission_text="m", mission_name="m", target_names=["a"],
+                         out=Path(sys.argv[1]))
+for number in itertools.count():
+    run.event("tick", "x" * 200, time_s=float(number), number=number)
+    print(number, flush=True)
+"""
+
+
+def test_a_killed_run_is_readable_to_the_last_line_reported(tmp_path: Path) -> None:
+    child = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path / "run")],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parent.parent,
+    )
+    assert child.stdout is not None
+    with child.stdout:
+        for line in child.stdout:
+            if int(line) == 100:
+                break
+        child.send_signal(signal.SIGKILL)
+        reported = [100, *(int(line) for line in child.stdout if line.endswith("\n"))]
+    child.wait()
+    folder = RunFolder.open(tmp_path / "run")
+    numbers = [event["number"] for event in folder.events()]
+    assert numbers[: reported[-1] + 1] == list(range(reported[-1] + 1))
+    assert folder.summary()["outcome"] == "in flight"
+
+
+def test_a_last_line_cut_short_is_left_out_and_a_damaged_middle_is_an_error(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        record_all(run)
+    events = run.folder.path / "events.jsonl"
+    whole = events.read_bytes()
+    for cut in range(len(whole.splitlines()[0]) + 2, len(whole)):
+        events.write_bytes(whole[:cut])
+        assert [event["kind"] for event in run.folder.events()] == ["connect"]
+    events.write_bytes(b"{oops}\n" + whole)
+    with pytest.raises(RecordError, match="line 1 is damaged"):
+        list(run.folder.events())
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="no run folder"):
+        RunFolder.open(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_summary_that_is_cut_short_is_a_clear_error(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        file = run.folder.path / "summary.json"
+        assert json.loads(file.read_text())["outcome"] == "in flight"
+        file.write_text('{"outcome": ')
+    with pytest.raises(RecordError, match=r"summary\.json is damaged"):
+        run.folder.summary()
