@@ -2,6 +2,7 @@
 
     DronemonError
       MissionFileError        the mission file cannot be flown as written      exit 2
+      OptionError             an option cannot be used as given                exit 2
       VehicleError            the vehicle or the link to it                    exit 3
         LinkTimeout           nothing heard in time
         LinkLost              heard before, silent now
@@ -30,6 +31,12 @@ class DronemonError(Exception):
 
 class MissionFileError(DronemonError):
     """The mission file cannot be flown as written; the message names file, line and key."""
+
+    exit_code = 2
+
+
+class OptionError(DronemonError):
+    """An option of a command, or of what it starts, cannot be used as given."""
 
     exit_code = 2
 
