@@ -1,0 +1,202 @@
+"""What the network sees: beliefs at roadmap nodes, pooled over time, and the lengths flown since.
+
+A frame is the belief at one decision; a window is the mean of the `stride` newest frames at a
+decision, fewer at the start of an episode. The history of a decision t is the windows that end at
+t, t - stride, t - 2 stride, ...: `stride` interleaved phases.
+
+    B episodes   L decisions   V nodes   N targets   k neighbours   F features of a target at a node
+    s stride   T' windows seen
+
+Source: paper, section IV-A (observation) and IV-B (average pooling, trajectory length).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+LENGTH_SCALE_AU = 1.993 * 3.0
+"""c_0, the length over which a measurement is forgotten; trajectory lengths are given in it.
+
+Source: paper, section IV-B.
+"""
+FEATURES = 4
+"""F: mean and standard deviation now, mean and standard deviation a little later."""
+
+
+def belief_features(
+    mean_now: Tensor, std_now: Tensor, mean_later: Tensor, std_later: Tensor
+) -> Tensor:
+    """Features of every target at every node.
+
+    Each: (..., N, V) posterior -> (..., V, N, 4) float32.
+    """
+    return torch.stack([mean_now, std_now, mean_later, std_later], dim=-1).transpose(-3, -2).float()
+
+
+def num_windows(history: int, stride: int) -> int:
+    """T', the windows that a decision sees of `history` frames."""
+    # Differs from STAMP: the oldest window is whole where the stride does not divide the history,
+    # so that it can be shared.
+    return math.ceil(history / stride)
+
+
+def pool_windows(frames: Tensor, stride: int, first: int = 0) -> Tensor:
+    """Mean over the newest `stride` frames at each decision.
+
+    # Differs from STAMP: at the start of an episode the mean is over the frames there are, not over
+    copies of the first.
+
+    frames: (B, L, ...), from the start of an episode -> (B, L - first, ...), windows that end at
+    frames first, first + 1, ...
+    """
+    length = frames.shape[1]
+    total = frames[:, first:].clone()
+    for back in range(1, min(stride, length)):
+        begin = max(first, back)
+        total[:, begin - first :] += frames[:, begin - back : length - back]
+    count = torch.arange(first + 1, length + 1, device=frames.device).clamp(max=stride)
+    return total / count.to(frames.dtype).view(1, -1, *[1] * (frames.dim() - 2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Graphs:
+    """Roadmaps of B episodes, padded to the same V and k.
+
+    coordinates: (B, V, 2) float32 au; eigenvectors: (B, V, E) float32; neighbours: (B, V, k) int64;
+    neighbour_mask: (B, V, k) bool, true where a neighbour may be chosen; distances: (B, V, V)
+    float32 au along shortest paths; node_mask: (B, V) bool
+    """
+
+    coordinates: Tensor
+    eigenvectors: Tensor
+    neighbours: Tensor
+    neighbour_mask: Tensor
+    distances: Tensor
+    node_mask: Tensor
+
+    @classmethod
+    def of(
+        cls, coordinates: Tensor, eigenvectors: Tensor, neighbours: Tensor, distances: Tensor
+    ) -> Graphs:
+        """One roadmap as a batch of one; a node among its own neighbours is masked.
+
+        coordinates: (V, 2); eigenvectors: (V, E); neighbours: (V, k); distances: (V, V)
+        """
+        num_nodes = coordinates.shape[0]
+        own = torch.arange(num_nodes, device=coordinates.device)
+        is_node = (neighbours >= 0) & (neighbours < num_nodes) & (neighbours != own[:, None])
+        return cls(
+            coordinates=coordinates.float()[None],
+            eigenvectors=eigenvectors.float()[None],
+            neighbours=torch.where(is_node, neighbours, own[:, None])[None],
+            neighbour_mask=is_node[None],
+            # A node that cannot be reached is as far as the longest path, not infinitely far.
+            distances=distances.float().clamp(max=2.0 * math.sqrt(2.0))[None],
+            node_mask=torch.ones(1, num_nodes, dtype=torch.bool, device=coordinates.device),
+        )
+
+    @classmethod
+    def concatenate(cls, graphs: Sequence[Graphs]) -> Graphs:
+        """Batch of batches, padded to the largest V and k."""
+        num_nodes = max(g.num_nodes for g in graphs)
+        num_neighbours = max(g.neighbours.shape[2] for g in graphs)
+        padded = [g.padded(num_nodes, num_neighbours) for g in graphs]
+        return cls(**{f.name: torch.cat([getattr(g, f.name) for g in padded]) for f in fields(cls)})
+
+    @property
+    def num_nodes(self) -> int:
+        """V."""
+        return int(self.coordinates.shape[1])
+
+    def padded(self, num_nodes: int, num_neighbours: int) -> Graphs:
+        """The same roadmaps with masked nodes and neighbours added."""
+        v, k = num_nodes - self.num_nodes, num_neighbours - self.neighbours.shape[2]
+        return Graphs(
+            coordinates=pad(self.coordinates, (0, 0, 0, v)),
+            eigenvectors=pad(self.eigenvectors, (0, 0, 0, v)),
+            neighbours=pad(self.neighbours, (0, k, 0, v)),
+            neighbour_mask=pad(self.neighbour_mask, (0, k, 0, v)),
+            distances=pad(self.distances, (0, v, 0, v)),
+            node_mask=pad(self.node_mask, (0, v)),
+        )
+
+    def select(self, episodes: Tensor) -> Graphs:
+        """Some of the roadmaps. episodes: (b,) int64."""
+        return Graphs(**{f.name: getattr(self, f.name)[episodes] for f in fields(self)})
+
+    def to(self, device: torch.device) -> Graphs:
+        """The same roadmaps on another device."""
+        return Graphs(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+
+    def mirrored(self, symmetries: Tensor) -> Graphs:
+        """The same roadmaps seen in a turned or mirrored square: only coordinates change.
+
+        symmetries: (B,) int64 in 0..7; bit 0 mirrors x, bit 1 mirrors y, bit 2 exchanges them
+        """
+        bits = (symmetries[:, None] >> torch.arange(3, device=symmetries.device)) & 1
+        flipped = torch.where(bits[:, None, :2].bool(), 1.0 - self.coordinates, self.coordinates)
+        turned = torch.where(bits[:, 2, None, None].bool(), flipped.flip(-1), flipped)
+        return replace(self, coordinates=turned)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Segment:
+    """The first L decisions of B episodes, as the network sees them.
+
+    windows: (B, L, V, N, F) float32 pooled belief features; target_mask: (B, N) bool; flown: (B, L)
+    float32, the agent's trajectory length at each decision; marks: (B, L) float32, its mean over
+    each window's frames, both in units of `LENGTH_SCALE_AU`; nodes: (B, L) int64, the agent's node
+    at each decision
+    """
+
+    graphs: Graphs
+    windows: Tensor
+    target_mask: Tensor
+    flown: Tensor
+    marks: Tensor
+    nodes: Tensor
+
+    @classmethod
+    def of(
+        cls,
+        graphs: Graphs,
+        frames: Tensor,
+        target_mask: Tensor,
+        lengths_au: Tensor,
+        nodes: Tensor,
+        stride: int,
+    ) -> Segment:
+        """Pool the frames of whole episodes.
+
+        frames: (B, L, V, N, F); lengths_au: (B, L) flown at each decision.
+        """
+        flown = lengths_au / LENGTH_SCALE_AU
+        return cls(
+            graphs=graphs,
+            windows=pool_windows(frames, stride),
+            target_mask=target_mask,
+            flown=flown.to(frames.dtype),
+            marks=pool_windows(flown, stride).to(frames.dtype),
+            nodes=nodes,
+        )
+
+    def select(self, episodes: Tensor) -> Segment:
+        """Some of the episodes. episodes: (b,) int64."""
+        return Segment(
+            graphs=self.graphs.select(episodes),
+            windows=self.windows[episodes],
+            target_mask=self.target_mask[episodes],
+            flown=self.flown[episodes],
+            marks=self.marks[episodes],
+            nodes=self.nodes[episodes],
+        )
+
+    def mirrored(self, symmetries: Tensor) -> Segment:
+        """The same episodes in a turned or mirrored square; see `Graphs.mirrored`."""
+        return replace(self, graphs=self.graphs.mirrored(symmetries))

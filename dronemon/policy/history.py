@@ -1,0 +1,121 @@
+"""The network's memory between decisions: each pooled window is encoded once.
+
+Source: paper, section IV-B; PAPER-NOTES' "Exactness that saves work".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dronemon.policy.features import LENGTH_SCALE_AU, Graphs, num_windows, pool_windows
+from dronemon.policy.network import PolicyNetwork, TemporalEncoder, TemporalMemory, Verdict
+
+
+@dataclass(slots=True)
+class _Phase:
+    """Every stride-th window: keys, values (B, 1, V, T', d), marks (B, T') au; or an LSTM."""
+
+    keys: Tensor
+    values: Tensor
+    marks_au: Tensor
+    count: int = 0
+    state: tuple[Tensor, Tensor] | None = None
+
+
+class History:
+    """B episodes that decide in step; memory stays the same however long they last."""
+
+    def __init__(self, network: PolicyNetwork, graphs: Graphs, history: int) -> None:
+        config = network.config
+        self._network = network
+        self._graphs = graphs
+        self._stride = config.stride_for(history)
+        ring = num_windows(history, self._stride) if config.temporal == "attention" else 1
+        shape = (*graphs.coordinates.shape[:2], ring, config.width)
+        self._phases = [
+            _Phase(
+                keys=graphs.coordinates.new_zeros(shape)[:, None],
+                values=graphs.coordinates.new_zeros(shape)[:, None],
+                marks_au=graphs.coordinates.new_zeros(shape[0], ring, dtype=torch.float64),
+            )
+            for _ in range(self._stride)
+        ]
+        self._frames: list[Tensor] = []
+        self._lengths_au: list[Tensor] = []
+        self._num_decisions = 0
+
+    @torch.no_grad()
+    def decide(
+        self, frame: Tensor, target_mask: Tensor, length_au: Tensor, current: Tensor
+    ) -> Verdict:
+        """Take in the newest frame and judge the agent's next step.
+
+        frame: (B, V, N, F) belief features, where N may grow; target_mask: (B, N); length_au: (B,)
+        float64 flown so far; current: (B,) the agent's node -> logits (B, 1, k), value (B, 1)
+        """
+        known = [_widened(f, frame.shape[2]) for f in self._frames]
+        self._frames = [*known, frame][-self._stride :]
+        self._lengths_au = [*self._lengths_au, length_au.double()][-self._stride :]
+        last = len(self._frames) - 1
+        window = pool_windows(torch.stack(self._frames, dim=1), self._stride, last)
+        mark_au = pool_windows(torch.stack(self._lengths_au, dim=1), self._stride, last)[:, 0]
+        encoded = self._network.encode(self._graphs, window[:, :, :, None], target_mask)
+        phase = self._phases[self._num_decisions % self._stride]
+        self._num_decisions += 1
+        if isinstance(self._network.temporal, TemporalEncoder):
+            aware = self._attend(self._network.temporal, phase, encoded, length_au, mark_au)
+        else:
+            aware = self._carry(self._network.temporal, phase, encoded, mark_au)
+        return self._network.decide(aware[:, :, :, 0], self._graphs, current[:, None])
+
+    def _attend(
+        self,
+        encoder: TemporalEncoder,
+        phase: _Phase,
+        encoded: Tensor,
+        length_au: Tensor,
+        mark_au: Tensor,
+    ) -> Tensor:
+        """Put the newest window into its ring, then read the ring; lengths count back from now."""
+        slot = phase.count % phase.keys.shape[3]
+        keys, values = encoder.project(encoded)
+        phase.keys[:, :, :, slot], phase.values[:, :, :, slot] = keys[..., 0, :], values[..., 0, :]
+        phase.marks_au[:, slot] = mark_au
+        phase.count += 1
+        filled = min(phase.count, phase.keys.shape[3])
+        since = (phase.marks_au[:, :filled] - length_au[:, None]) / LENGTH_SCALE_AU
+        marks = since.to(encoded.dtype)[:, None, None]
+        aware: Tensor = encoder(
+            encoded,
+            (phase.keys[:, :, :, :filled], phase.values[:, :, :, :filled]),
+            torch.zeros_like(marks[..., :1]),
+            (marks[..., slot : slot + 1], marks),
+        )
+        return aware
+
+    def _carry(
+        self, memory: TemporalMemory, phase: _Phase, encoded: Tensor, mark_au: Tensor
+    ) -> Tensor:
+        """Feed the newest window to its phase's LSTM."""
+        since_au = mark_au - (phase.marks_au[:, 0] if phase.count else mark_au)
+        gaps = (since_au / LENGTH_SCALE_AU).to(encoded.dtype)[:, None, None, None]
+        aware: Tensor
+        aware, phase.state = memory(encoded, gaps.expand(encoded.shape[:-1]), phase.state)
+        phase.marks_au[:, 0] = mark_au
+        phase.count += 1
+        return aware
+
+
+def _widened(frame: Tensor, num_targets: int) -> Tensor:
+    """An older frame with prior beliefs about targets unknown then: mean 0, deviation 1.
+
+    (B, V, n, F).
+    """
+    missing = num_targets - frame.shape[2]
+    if missing <= 0:
+        return frame
+    unknown = frame.new_tensor([0.0, 1.0]).repeat(frame.shape[3] // 2)
+    return torch.cat([frame, unknown.expand(*frame.shape[:2], missing, -1)], dim=2)

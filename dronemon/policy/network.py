@@ -1,0 +1,410 @@
+"""The paper's spatio-temporal attention network, arranged so that nothing is computed twice.
+
+Source: paper, section IV-B. Three identities, all exact, make it cheap; the reference in
+tests/policy computes without them.
+
+Windows are shared. A window's feature h depends on the decision that sees it only through the
+trajectory-length embedding W_L (a - m) + b, where a is the length flown at the decision and m the
+window's own mark. So its key is W_K (h + b) - m W_K W_L + a W_K W_L, whose last term adds the same
+to every score of a query and leaves the softmax as it is; the same term of its value adds
+a W_V W_L to the result. Keys and values are made once and serve every later decision of the phase.
+
+Beliefs are narrow. Keys and values of the target encoder are linear in F = 4 numbers, so scores
+and results go through (d, F) products of the weights, and no target gets a feature of width d.
+
+Only the neighbourhood is decoded. The decoder reads the agent's node and its neighbours, so only
+these query the spatial encoder.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import pad, scaled_dot_product_attention
+
+from dronemon.errors import PolicyError
+from dronemon.policy.features import FEATURES, Graphs, Segment, num_windows
+
+CLIP = 10.0
+"""Logits are CLIP * tanh(...). Source: pointer network of the authors' release."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkConfig:
+    """Shape of the network; the defaults are the paper's.
+
+    predictions: give beliefs a little later, too (the paper's ablation "w/o" does not); temporal:
+    how history is read; distance_bias: let attention between nodes fall with their distance along
+    the roadmap.
+    """
+
+    width: int = 128
+    num_heads: int = 4
+    feed_forward: int = 512
+    num_eigenvectors: int = 32
+    stride: int = 5
+    predictions: bool = True
+    temporal: Literal["attention", "lstm"] = "attention"
+    distance_bias: bool = False
+
+    def __post_init__(self) -> None:
+        if self.width % self.num_heads:
+            raise PolicyError(
+                f"width {self.width} is no multiple of {self.num_heads} heads; choose one that is"
+            )
+        if self.temporal not in ("attention", "lstm"):
+            raise PolicyError(f"temporal is {self.temporal!r}; it can be 'attention' or 'lstm'")
+
+    @property
+    def num_features(self) -> int:
+        """F, of the features that `belief_features` gives."""
+        return FEATURES if self.predictions else 2
+
+    def stride_for(self, history: int) -> int:
+        """s, or less where the history is shorter than one window."""
+        return min(self.stride, history)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the network thinks at decisions.
+
+    logits: (B, L, k) of the neighbours of the agent's node, -inf where there is none; value: (B, L)
+    expected discounted return
+    """
+
+    logits: Tensor
+    value: Tensor
+
+
+class Projections(nn.Module):
+    """Linear maps of multi-head attention, without bias. Source: paper, equation 3."""
+
+    def __init__(self, width: int, num_heads: int) -> None:
+        super().__init__()
+        self.num_heads = num_heads
+        self.query = nn.Linear(width, width, bias=False)
+        self.key = nn.Linear(width, width, bias=False)
+        self.value = nn.Linear(width, width, bias=False)
+        self.out = nn.Linear(width, width, bias=False)
+
+    def heads(self, features: Tensor) -> Tensor:
+        """(..., n, d) -> (..., H, n, d / H)."""
+        split = features.view(*features.shape[:-1], self.num_heads, -1)
+        return split.transpose(-3, -2)
+
+    def split(self, weight: Tensor) -> Tensor:
+        """Rows of a weight by head. (d, ...) -> (H, d / H, ...)."""
+        return weight.view(self.num_heads, -1, *weight.shape[1:])
+
+
+class Residual(nn.Module):
+    """The rest of a transformer layer: residual and norm, feed-forward, residual and norm."""
+
+    def __init__(self, width: int, feed_forward: int) -> None:
+        super().__init__()
+        self.norm_attended = nn.LayerNorm(width)
+        self.feed_forward = nn.Sequential(
+            nn.Linear(width, feed_forward), nn.ReLU(), nn.Linear(feed_forward, width)
+        )
+        self.norm_out = nn.LayerNorm(width)
+
+    def forward(self, query: Tensor, attended: Tensor) -> Tensor:
+        """Query features and what attention gave for them. Both: (..., d) -> (..., d)."""
+        # Differs from STAMP: the norms follow the sums, as the paper says; the release puts them
+        # before.
+        hidden = self.norm_attended(query + attended)
+        result: Tensor = self.norm_out(hidden + self.feed_forward(hidden))
+        return result
+
+
+class TargetEncoder(nn.Module):
+    """Node coordinates query the beliefs about all targets there.
+
+    Source: paper, section IV-B, "Target encoder".
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.coordinates = nn.Linear(2, config.width)
+        self.belief = nn.Linear(config.num_features, config.width)
+        self.attention = Projections(config.width, config.num_heads)
+        self.residual = Residual(config.width, config.feed_forward)
+
+    def forward(self, coordinates: Tensor, windows: Tensor, target_mask: Tensor) -> Tensor:
+        """Target-aware node features.
+
+        coordinates: (B, V, 2); windows: (B, P, V, n, N, F), P phases of n windows; target_mask: (B,
+        N) -> (B, P, V, n, d)
+        """
+        num_targets = windows.shape[-2]
+        maps = self.attention
+        place = self.coordinates(coordinates)
+        # A score is q . W_K (W_b x + b_b); the part without x is the same for all targets and
+        # leaves the softmax as it is.
+        key_map = maps.split(maps.key.weight @ self.belief.weight)
+        query = maps.heads(maps.query(place)).transpose(1, 2) / math.sqrt(key_map.shape[1])
+        narrow = torch.einsum("bvhe,hef->bvhf", query, key_map)  # (B, V, H, F)
+        flat = windows.flatten(3, 4)  # (B, P, V, nN, F)
+        scores = narrow[:, None] @ flat.transpose(-1, -2)
+        scores = scores.view(*scores.shape[:-1], -1, num_targets)  # (B, P, V, H, n, N)
+        scores = scores.masked_fill(~target_mask[:, None, None, None, None], -torch.inf)
+        weights = scores.softmax(-1)  # (B, P, V, H, n, N)
+        mixed = (weights[..., None] * windows[:, :, :, None]).sum(-2)  # (B, P, V, H, n, F)
+        value_map = maps.split(maps.value.weight @ self.belief.weight)
+        out_map = maps.split(maps.out.weight.T)  # (H, d / H, d)
+        narrow_out = (value_map.transpose(1, 2) @ out_map).flatten(0, 1)  # (HF, d)
+        constant = maps.out(maps.value(self.belief.bias))
+        attended = mixed.transpose(3, 4).reshape(*mixed.shape[:3], -1, narrow_out.shape[0])
+        result: Tensor = self.residual(place[:, None, :, None], attended @ narrow_out + constant)
+        return result
+
+
+class TemporalEncoder(nn.Module):
+    """The newest window of a node queries the node's past.
+
+    Source: paper, section IV-B, "Temporal encoder".
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.length = nn.Linear(1, config.width)
+        self.attention = Projections(config.width, config.num_heads)
+        self.residual = Residual(config.width, config.feed_forward)
+
+    def project(self, encoded: Tensor) -> tuple[Tensor, Tensor]:
+        """Keys and values of windows, but for their time: what every later decision shares.
+
+        (..., d) -> twice (..., d).
+        """
+        features = encoded + self.length.bias
+        keys: Tensor = self.attention.key(features)
+        values: Tensor = self.attention.value(features)
+        return keys, values
+
+    def forward(
+        self,
+        encoded: Tensor,
+        projected: tuple[Tensor, Tensor],
+        flown: Tensor,
+        marks: tuple[Tensor, Tensor],
+        mask: Tensor | None = None,
+    ) -> Tensor:
+        """Time-aware node features.
+
+        encoded: (..., n, d), the newest window at n decisions; projected: of the m windows of the
+        past, each (..., m, d); flown: (..., n) at the decisions; marks: of the newest windows (...,
+        n) and of the past (..., m); lengths count from any one origin; mask: (n, m), true where a
+        decision sees a window -> (..., n, d)
+        """
+        maps, rate = self.attention, self.length.weight[:, 0]
+        age = (flown - marks[0])[..., None]
+        features = encoded + self.length.bias + age * rate
+        past = marks[1][..., None]
+        keys, values = projected
+        mixed = scaled_dot_product_attention(
+            maps.heads(maps.query(features)).flatten(0, -4),
+            maps.heads(keys - past * maps.key(rate)).flatten(0, -4),
+            maps.heads(values - past * maps.value(rate)).flatten(0, -4),
+            attn_mask=mask,
+        )
+        merged = mixed.transpose(-3, -2).flatten(-2).view_as(features)
+        attended = maps.out(merged + flown[..., None] * maps.value(rate))
+        result: Tensor = self.residual(features, attended)
+        return result
+
+
+class TemporalMemory(nn.Module):
+    """The ablation's LSTM: one cell per node, carried along the windows of a phase."""
+
+    # Differs from STAMP: the release runs the cell anew over the last T' windows; carried along,
+    # its memory has no end to choose.
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.length = nn.Linear(1, config.width)
+        self.cell = nn.LSTM(config.width, config.width, batch_first=True)
+
+    def forward(
+        self, encoded: Tensor, gaps: Tensor, state: tuple[Tensor, Tensor] | None = None
+    ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+        """Time-aware node features and the memory to go on with.
+
+        encoded: (..., n, d), successive windows of a phase; gaps: (..., n), length flown between
+        each and the one before it, in units of `LENGTH_SCALE_AU` -> (..., n, d), state of two (1,
+        ..., d)
+        """
+        features = encoded + self.length(gaps[..., None])
+        output, state = self.cell(features.flatten(0, -3), state)
+        return output.view_as(encoded), state
+
+
+class SpatialEncoder(nn.Module):
+    """Nodes query all nodes of the roadmap. Source: paper, section IV-B, "Spatial encoder"."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.eigenvectors = nn.Linear(config.num_eigenvectors, config.width)
+        self.attention = Projections(config.width, config.num_heads)
+        self.residual = Residual(config.width, config.feed_forward)
+        # Differs from STAMP: optional. Scores fall with the length of the way, at a learned rate
+        # for each head.
+        self.falloff = (
+            nn.Parameter(torch.linspace(0.0, 6.0, config.num_heads))
+            if config.distance_bias
+            else None
+        )
+
+    def forward(self, nodes: Tensor, graphs: Graphs, queried: Tensor) -> Tensor:
+        """Spatio-temporal features of the nodes that are asked for.
+
+        nodes: (B, L, V, d); queried: (B, L, q) -> (B, L, q, d).
+        """
+        features = nodes + self.eigenvectors(graphs.eigenvectors)[:, None]
+        asking = _take(features, queried)
+        bias = torch.zeros_like(graphs.node_mask, dtype=features.dtype)
+        bias = bias.masked_fill(~graphs.node_mask, -torch.inf)[
+            :, None, None, None
+        ]  # (B, 1, 1, 1, V)
+        if self.falloff is not None:
+            ways = _rows(graphs.distances, queried)  # (B, L, q, V)
+            bias = bias - self.falloff[:, None, None] * ways[:, :, None]
+        maps = self.attention
+        mixed = scaled_dot_product_attention(
+            maps.heads(maps.query(asking)),
+            maps.heads(maps.key(features)),
+            maps.heads(maps.value(features)),
+            attn_mask=bias,
+        )
+        result: Tensor = self.residual(asking, maps.out(mixed.transpose(-3, -2).flatten(-2)))
+        return result
+
+
+class Decoder(nn.Module):
+    """The agent's node queries its neighbours; the pointer's scores are the policy.
+
+    Source: paper, section IV-B, "Decoder".
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.distance = nn.Linear(config.width + 1, config.width)
+        self.attention = Projections(config.width, config.num_heads)
+        self.residual = Residual(config.width, config.feed_forward)
+        self.pointer_query = nn.Linear(config.width, config.width, bias=False)
+        self.pointer_key = nn.Linear(config.width, config.width, bias=False)
+        self.value = nn.Linear(config.width, 1)
+
+    def forward(self, features: Tensor, distances: Tensor, mask: Tensor) -> Verdict:
+        """Choose among neighbours.
+
+        features: (B, L, 1 + k, d), the agent's node first; distances: (B, L, 1 + k) from it along
+        the roadmap; mask: (B, L, k)
+        """
+        placed = self.distance(torch.cat([features, distances[..., None]], dim=-1))
+        current, neighbours = placed[:, :, :1], placed[:, :, 1:]
+        maps = self.attention
+        mixed = scaled_dot_product_attention(
+            maps.heads(maps.query(current)),
+            maps.heads(maps.key(neighbours)),
+            maps.heads(maps.value(neighbours)),
+            attn_mask=mask[:, :, None, None],
+        )
+        chosen = self.residual(current, maps.out(mixed.transpose(-3, -2).flatten(-2)))
+        scores = self.pointer_query(chosen) @ self.pointer_key(neighbours).transpose(-1, -2)
+        logits = CLIP * torch.tanh(scores[:, :, 0] / math.sqrt(placed.shape[-1]))
+        return Verdict(
+            logits=logits.masked_fill(~mask, -torch.inf), value=self.value(chosen)[:, :, 0, 0]
+        )
+
+
+class PolicyNetwork(nn.Module):
+    """The whole network: `forward` takes whole episodes, `History` one decision after another."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.target_encoder = TargetEncoder(config)
+        self.temporal: TemporalEncoder | TemporalMemory = (
+            TemporalEncoder(config) if config.temporal == "attention" else TemporalMemory(config)
+        )
+        self.spatial_encoder = SpatialEncoder(config)
+        self.decoder = Decoder(config)
+
+    def forward(self, segment: Segment, history: int) -> Verdict:
+        """All decisions of the episodes at once, each seeing the last `history` frames."""
+        length = segment.windows.shape[1]
+        stride = self.config.stride_for(history)
+        encoded = self.encode(
+            segment.graphs,
+            _to_phases(segment.windows, stride).transpose(2, 3),
+            segment.target_mask,
+        )  # (B, P, V, n, d)
+        flown = _to_phases(segment.flown, stride)[:, :, None]  # (B, P, 1, n)
+        marks = _to_phases(segment.marks, stride)[:, :, None]
+        if isinstance(self.temporal, TemporalMemory):
+            gaps = torch.diff(marks, prepend=marks[..., :1]).expand(encoded.shape[:-1])
+            aware, _ = self.temporal(encoded, gaps)
+        else:
+            mask = _band(encoded.shape[3], num_windows(history, stride), encoded.device)
+            aware = self.temporal(
+                encoded, self.temporal.project(encoded), flown, (marks, marks), mask
+            )
+        nodes = aware.permute(0, 3, 1, 2, 4).flatten(1, 2)[:, :length]  # (B, L, V, d)
+        return self.decide(nodes, segment.graphs, segment.nodes)
+
+    def encode(self, graphs: Graphs, windows: Tensor, target_mask: Tensor) -> Tensor:
+        """Target-aware node features of windows. windows: (B, P, V, n, N, F) -> (B, P, V, n, d)."""
+        kept = windows[..., : self.config.num_features]
+        encoded: Tensor = self.target_encoder(graphs.coordinates, kept, target_mask)
+        return encoded
+
+    def decide(self, nodes: Tensor, graphs: Graphs, current: Tensor) -> Verdict:
+        """From time-aware node features to the policy.
+
+        nodes: (B, L, V, d); current: (B, L) the agent's nodes.
+        """
+        neighbours = _rows(graphs.neighbours, current)  # (B, L, k)
+        queried = torch.cat([current[..., None], neighbours], dim=-1)
+        ways = _rows(graphs.distances, current).gather(2, queried)
+        verdict: Verdict = self.decoder(
+            self.spatial_encoder(nodes, graphs, queried),
+            ways,
+            _rows(graphs.neighbour_mask, current),
+        )
+        return verdict
+
+
+def _rows(table: Tensor, index: Tensor) -> Tensor:
+    """Rows of each episode's table. table: (B, V, ...); index: (B, ...) -> (B, ..., ...)."""
+    episodes = torch.arange(len(table), device=table.device)
+    return table[episodes.view(-1, *[1] * (index.dim() - 1)), index]
+
+
+def _take(features: Tensor, index: Tensor) -> Tensor:
+    """Features of some nodes. features: (B, L, V, d); index: (B, L, q) -> (B, L, q, d)."""
+    return features.gather(2, index[..., None].expand(-1, -1, -1, features.shape[-1]))
+
+
+def _to_phases(values: Tensor, stride: int) -> Tensor:
+    """Every `stride`-th decision side by side; the end is padded with zeros.
+
+    (B, L, ...) -> (B, stride, n, ...).
+    """
+    short = -values.shape[1] % stride
+    padded = pad(values, [0, 0] * (values.dim() - 2) + [0, short])
+    phased: Tensor = padded.view(len(values), -1, stride, *values.shape[2:]).transpose(1, 2)
+    return phased
+
+
+def _band(length: int, width: int, device: torch.device) -> Tensor:
+    """Which windows of its phase a decision sees: its own and the width - 1 before.
+
+    -> (length, length) bool.
+    """
+    ones = torch.ones(length, length, dtype=torch.bool, device=device)
+    return ones.tril().triu(1 - width)

@@ -1,0 +1,120 @@
+"""The paper's network computed the plain way, from the weights of a `PolicyNetwork`: no sharing, no
+folded products.
+
+Every decision encodes all of its windows, makes d-wide features of every target, adds the
+trajectory-length embedding to the features before the projections, and lets every node of the
+roadmap query every other.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from dronemon.policy import LENGTH_SCALE_AU, Graphs, PolicyNetwork, Projections, TemporalEncoder
+
+
+def naive_attention(maps: Projections, query: Tensor, source: Tensor, mask: Tensor) -> Tensor:
+    """Multi-head attention, head by head.
+
+    query: (..., n, d); source: (..., m, d); mask: (..., n, m) true where allowed.
+    """
+    width = query.shape[-1] // maps.num_heads
+    heads = []
+    for head in range(maps.num_heads):
+        rows = slice(head * width, (head + 1) * width)
+        q, k, v = (
+            maps.query(query)[..., rows],
+            maps.key(source)[..., rows],
+            maps.value(source)[..., rows],
+        )
+        scores = (q @ k.transpose(-1, -2) / math.sqrt(width)).masked_fill(~mask, -torch.inf)
+        heads.append(scores.softmax(-1) @ v)
+    return maps.out(torch.cat(heads, dim=-1))
+
+
+def naive_layer(layer: nn.Module, query: Tensor, source: Tensor, mask: Tensor) -> Tensor:
+    """A post-norm transformer layer."""
+    residual = layer.residual
+    hidden = residual.norm_attended(query + naive_attention(layer.attention, query, source, mask))
+    return residual.norm_out(hidden + residual.feed_forward(hidden))
+
+
+def naive_windows(frames: Tensor, decision: int, stride: int, count: int) -> list[Tensor]:
+    """The windows a decision sees, newest first. frames: (L, ...)."""
+    ends = [decision - stride * i for i in range(count) if decision - stride * i >= 0]
+    return [frames[max(0, end - stride + 1) : end + 1].mean(0) for end in ends]
+
+
+def naive_verdict(
+    network: PolicyNetwork,
+    graphs: Graphs,
+    frames: Tensor,
+    target_mask: Tensor,
+    lengths_au: Tensor,
+    current: int,
+    history: int,
+) -> tuple[Tensor, Tensor]:
+    """Logits (k,) and value () of the last decision of one episode.
+
+    frames: (L, V, N, F); graphs: of one episode.
+    """
+    config = network.config
+    stride = min(config.stride, history)
+    count = math.ceil(history / stride) if config.temporal == "attention" else len(frames)
+    decision = len(frames) - 1
+    windows = torch.stack(naive_windows(frames, decision, stride, count))[
+        ..., : config.num_features
+    ]
+    marks_au = torch.stack(naive_windows(lengths_au, decision, stride, count))
+    coordinates = network.target_encoder.coordinates(graphs.coordinates[0])  # (V, d)
+    beliefs = network.target_encoder.belief(windows)  # (W, V, N, d)
+    encoded = naive_layer(
+        network.target_encoder,
+        coordinates[None, :, None].expand(len(windows), -1, -1, -1),
+        beliefs,
+        target_mask[None, None, None],
+    )[:, :, 0]  # (W, V, d)
+    if isinstance(network.temporal, TemporalEncoder):
+        ages = (lengths_au[-1] - marks_au) / LENGTH_SCALE_AU
+        timed = encoded + network.temporal.length(ages[:, None].to(encoded.dtype))[:, None]
+        past = timed.transpose(0, 1)
+        everything = torch.ones(1, len(windows), dtype=torch.bool)
+        aware = naive_layer(network.temporal, past[:, :1], past, everything)[:, 0]
+    else:
+        oldest_first = marks_au.flip(0)
+        gaps = torch.diff(oldest_first, prepend=oldest_first[:1]) / LENGTH_SCALE_AU
+        timed = encoded.flip(0) + network.temporal.length(gaps[:, None].to(encoded.dtype))[:, None]
+        aware = network.temporal.cell(timed.transpose(0, 1))[0][:, -1]
+    spatial = network.spatial_encoder
+    nodes = (aware + spatial.eigenvectors(graphs.eigenvectors[0]))[None]
+    nodes = _biased_layer(spatial, nodes, graphs)[0]
+    ways = graphs.distances[0, current]
+    placed = network.decoder.distance(torch.cat([nodes, ways[:, None]], dim=-1))
+    neighbours = placed[graphs.neighbours[0, current]]
+    mask = graphs.neighbour_mask[0, current]
+    chosen = naive_layer(network.decoder, placed[current][None], neighbours, mask[None])[0]
+    scores = network.decoder.pointer_key(neighbours) @ network.decoder.pointer_query(chosen)
+    logits = 10.0 * torch.tanh(scores / math.sqrt(config.width))
+    return logits.masked_fill(~mask, -torch.inf), network.decoder.value(chosen)[0]
+
+
+def _biased_layer(spatial: nn.Module, nodes: Tensor, graphs: Graphs) -> Tensor:
+    """The spatial encoder over all nodes. nodes: (1, V, d)."""
+    if spatial.falloff is None:
+        return naive_layer(spatial, nodes, nodes, graphs.node_mask[:, None])
+    maps = spatial.attention
+    width = nodes.shape[-1] // maps.num_heads
+    heads = []
+    for head in range(maps.num_heads):
+        rows = slice(head * width, (head + 1) * width)
+        q, k, v = (m(nodes)[..., rows] for m in (maps.query, maps.key, maps.value))
+        scores = (
+            q @ k.transpose(-1, -2) / math.sqrt(width) - spatial.falloff[head] * graphs.distances
+        )
+        heads.append(scores.masked_fill(~graphs.node_mask[:, None], -torch.inf).softmax(-1) @ v)
+    residual = spatial.residual
+    hidden = residual.norm_attended(nodes + maps.out(torch.cat(heads, dim=-1)))
+    return residual.norm_out(hidden + residual.feed_forward(hidden))

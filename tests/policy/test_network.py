@@ -1,0 +1,210 @@
+"""The network that shares its work is the network of the paper, computed plainly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from instances import random_frames, random_graphs, random_walk
+from naive_network import naive_verdict
+from torch import Tensor
+
+from dronemon.errors import PolicyError
+from dronemon.policy import Graphs, History, NetworkConfig, PolicyNetwork, Segment
+
+SMALL = NetworkConfig(width=16, num_heads=4, feed_forward=24)
+VARIANTS = {
+    "paper": SMALL,
+    "without predictions": replace(SMALL, predictions=False),
+    "lstm": replace(SMALL, temporal="lstm"),
+    "distance bias": replace(SMALL, distance_bias=True),
+    "stride 3": replace(SMALL, stride=3),
+}
+
+
+def make_network(config: NetworkConfig, dtype: torch.dtype = torch.float64) -> PolicyNetwork:
+    with torch.random.fork_rng():
+        torch.manual_seed(7)
+        return PolicyNetwork(config).to(dtype)
+
+
+def make_episodes(
+    sizes: list[tuple[int, int]], length: int, seed: int, dtype: torch.dtype = torch.float64
+) -> tuple[Graphs, Tensor, Tensor, Tensor, Tensor]:
+    """Episodes of different (V, N) in one padded batch: graphs, frames, target mask, lengths,
+    nodes.
+    """
+    rng = torch.Generator().manual_seed(seed)
+    graphs = Graphs.concatenate([random_graphs(v, 6, rng) for v, _ in sizes])
+    graphs = replace(
+        graphs,
+        coordinates=graphs.coordinates.to(dtype),
+        eigenvectors=graphs.eigenvectors.to(dtype),
+        distances=graphs.distances.to(dtype),
+    )
+    num_targets = max(n for _, n in sizes)
+    frames = random_frames(len(sizes), length, graphs.num_nodes, num_targets, rng).to(dtype)
+    mask = torch.tensor([[i < n for i in range(num_targets)] for _, n in sizes])
+    nodes, lengths_au = random_walk(graphs, length, rng)
+    return graphs, frames, mask, lengths_au, nodes
+
+
+def naive_all(
+    network: PolicyNetwork,
+    episodes: tuple[Graphs, Tensor, Tensor, Tensor, Tensor],
+    sizes: list[tuple[int, int]],
+    history: int,
+) -> tuple[Tensor, Tensor]:
+    """Every decision of every episode by the reference, each episode without its padding."""
+    graphs, frames, _, lengths_au, nodes = episodes
+    logits, values = [], []
+    for b, (v, n) in enumerate(sizes):
+        own = graphs.select(torch.tensor([b]))
+        own = Graphs(
+            coordinates=own.coordinates[:, :v],
+            eigenvectors=own.eigenvectors[:, :v],
+            neighbours=own.neighbours[:, :v],
+            neighbour_mask=own.neighbour_mask[:, :v],
+            distances=own.distances[:, :v, :v],
+            node_mask=own.node_mask[:, :v],
+        )
+        for t in range(frames.shape[1]):
+            logit, value = naive_verdict(
+                network,
+                own,
+                frames[b, : t + 1, :v, :n],
+                torch.ones(n, dtype=torch.bool),
+                lengths_au[b, : t + 1],
+                int(nodes[b, t]),
+                history,
+            )
+            logits.append(logit)
+            values.append(value)
+    shape = frames.shape[:2]
+    return torch.stack(logits).view(*shape, -1), torch.stack(values).view(shape)
+
+
+def scalar(logits: Tensor, values: Tensor) -> Tensor:
+    """One number that depends on everything the network said."""
+    finite = torch.where(logits.isfinite(), logits, torch.zeros_like(logits))
+    weights = torch.linspace(-1.0, 1.0, finite.numel(), dtype=finite.dtype).view_as(finite)
+    return (finite * weights).sum() + (values**2).sum() + logits.softmax(-1).square().sum()
+
+
+CASES = [("paper", history) for history in (1, 4, 5, 8, 10, 100)] + [
+    (variant, 8) for variant in VARIANTS if variant != "paper"
+]
+
+
+@pytest.mark.parametrize(("variant", "history"), CASES)
+def test_outputs_and_gradients_of_a_segment_equal_the_reference(variant: str, history: int) -> None:
+    sizes = [(12, 2), (17, 3)]
+    network = make_network(VARIANTS[variant])
+    episodes = make_episodes(sizes, length=16, seed=history)
+    graphs, frames, mask, lengths_au, nodes = episodes
+    stride = network.config.stride_for(history)
+    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, stride)
+    verdict = network(segment, history)
+    logits, values = naive_all(network, episodes, sizes, history)
+    torch.testing.assert_close(verdict.logits, logits, rtol=0.0, atol=1e-9)
+    torch.testing.assert_close(verdict.value, values, rtol=0.0, atol=1e-9)
+    ours = torch.autograd.grad(
+        scalar(verdict.logits, verdict.value), network.parameters(), allow_unused=True
+    )
+    theirs = torch.autograd.grad(scalar(logits, values), network.parameters(), allow_unused=True)
+    for (name, parameter), a, b in zip(network.named_parameters(), ours, theirs, strict=True):
+        zero = torch.zeros_like(parameter)
+        torch.testing.assert_close(
+            zero if a is None else a, zero if b is None else b, rtol=1e-7, atol=1e-8, msg=name
+        )
+
+
+@pytest.mark.parametrize(("variant", "history"), CASES[::2])
+def test_one_decision_after_another_equals_the_reference(variant: str, history: int) -> None:
+    sizes = [(12, 2), (17, 3)]
+    network = make_network(VARIANTS[variant])
+    episodes = make_episodes(sizes, length=21, seed=3)
+    graphs, frames, mask, lengths_au, nodes = episodes
+    memory = History(network, graphs, history)
+    logits, values = naive_all(network, episodes, sizes, history)
+    for t in range(frames.shape[1]):
+        verdict = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t])
+        torch.testing.assert_close(verdict.logits[:, 0], logits[:, t], rtol=0.0, atol=1e-9)
+        torch.testing.assert_close(verdict.value[:, 0], values[:, t], rtol=0.0, atol=1e-9)
+
+
+def test_single_precision_at_the_papers_width_stays_within_1e_5() -> None:
+    sizes = [(40, 4)]
+    network = make_network(NetworkConfig(), torch.float32)
+    episodes = make_episodes(sizes, length=27, seed=5, dtype=torch.float32)
+    graphs, frames, mask, lengths_au, nodes = episodes
+    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, 5)
+    with torch.no_grad():
+        logits, values = naive_all(network, episodes, sizes, 20)
+        verdict = network(segment, 20)
+    memory = History(network, graphs, 20)
+    torch.testing.assert_close(verdict.logits, logits, rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(verdict.value, values, rtol=0.0, atol=1e-5)
+    for t in range(frames.shape[1]):
+        now = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t])
+        torch.testing.assert_close(now.logits[:, 0], logits[:, t], rtol=0.0, atol=1e-5)
+
+
+def test_an_endless_mission_keeps_its_precision() -> None:
+    network = make_network(SMALL, torch.float32)
+    graphs, frames, mask, lengths_au, nodes = make_episodes([(12, 2)], 20, 1, torch.float32)
+    near, far = History(network, graphs, 10), History(network, graphs, 10)
+    for t in range(20):
+        now = near.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t])
+        later = far.decide(frames[:, t], mask, lengths_au[:, t] + 1e6, nodes[:, t])
+        torch.testing.assert_close(now.logits, later.logits, rtol=0.0, atol=1e-5)
+
+
+def test_the_order_of_targets_does_not_matter() -> None:
+    network = make_network(SMALL)
+    graphs, frames, mask, lengths_au, nodes = make_episodes([(12, 4)], 11, 2)
+    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, 5)
+    order = torch.tensor([2, 0, 3, 1])
+    verdict = network(segment, 10)
+    other = network(replace(segment, windows=segment.windows[:, :, :, order]), 10)
+    torch.testing.assert_close(verdict.logits, other.logits, rtol=0.0, atol=1e-12)
+
+
+def test_a_target_seen_for_the_first_time_joins_the_history() -> None:
+    network = make_network(SMALL)
+    graphs, frames, _, lengths_au, nodes = make_episodes([(12, 3)], 6, 2)
+    memory = History(network, graphs, 10)
+    for t, known in enumerate([1, 1, 2, 2, 3, 3]):
+        verdict = memory.decide(
+            frames[:, t, :, :known],
+            torch.ones(1, known, dtype=torch.bool),
+            lengths_au[:, t],
+            nodes[:, t],
+        )
+        assert bool(verdict.logits.isfinite().any())
+
+
+def test_later_decisions_do_not_change_earlier_ones() -> None:
+    network = make_network(SMALL)
+    graphs, frames, mask, lengths_au, nodes = make_episodes([(12, 2)], 23, 4)
+    whole = network(Segment.of(graphs, frames, mask, lengths_au, nodes, 5), 10)
+    part = network(Segment.of(graphs, frames[:, :9], mask, lengths_au[:, :9], nodes[:, :9], 5), 10)
+    torch.testing.assert_close(whole.logits[:, :9], part.logits, rtol=0.0, atol=1e-12)
+
+
+def test_symmetries_of_the_square_are_eight_and_keep_distances() -> None:
+    rng = torch.Generator().manual_seed(0)
+    graphs = Graphs.concatenate([random_graphs(9, 4, rng)] * 1).select(torch.zeros(8, dtype=int))
+    turned = graphs.mirrored(torch.arange(8)).coordinates
+    assert len({tuple(c.flatten().tolist()) for c in turned.round(decimals=4)}) == 8
+    for coordinates in turned:
+        torch.testing.assert_close(
+            torch.cdist(coordinates, coordinates),
+            torch.cdist(graphs.coordinates[0], graphs.coordinates[0]),
+        )
+
+
+def test_a_width_that_heads_do_not_divide_is_refused() -> None:
+    with pytest.raises(PolicyError, match="no multiple of 4 heads"):
+        NetworkConfig(width=30)
