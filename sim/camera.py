@@ -1,0 +1,114 @@
+"""The simulated downward camera as a device: a TCP port that hands out pictures of the world."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import Self
+
+import cv2
+
+from dronemon.types import CameraModel
+from sim.renderer import Renderer
+from sim.scene import Animal, Scene
+
+__all__ = ["Animal", "CameraServer", "Renderer", "Scene"]
+
+REQUEST = b"SHOT"
+ANSWER = struct.Struct("!4sdI")
+"""Header of an answer: b"SHOT", vehicle time at capture in s, bytes of JPEG that follow."""
+JPEG_QUALITY = 95
+MAX_CLIENTS = 8
+SEND_TIMEOUT_S = 5.0
+STOP_TIMEOUT_S = 5.0
+
+
+class CameraServer:
+    """Hands out pictures over TCP on 127.0.0.1, of the scene at the instant of the request.
+
+    A client sends REQUEST and gets ANSWER and a JPEG. `silent` leaves requests unanswered, as a
+    camera does that hangs.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        seed: int,
+        scene: Callable[[], Scene],
+        on_capture: Callable[[Scene], None],
+    ) -> None:
+        self.silent = False
+        self._camera = camera
+        self._seed = seed
+        self._scene = scene
+        self._on_capture = on_capture
+        self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+
+    async def __aenter__(self) -> Self:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="camera")
+        self._renderer = await asyncio.get_running_loop().run_in_executor(
+            self._thread, Renderer, self._camera, self._seed
+        )
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._server.close()
+        for writer in self._clients.values():
+            writer.transport.abort()  # ends its task, which asyncio 3.11 does not like cancelled
+        if self._clients:
+            await asyncio.wait(list(self._clients), timeout=STOP_TIMEOUT_S)
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    @property
+    def port(self) -> int:
+        """TCP port that the server listens on."""
+        port: int = self._server.sockets[0].getsockname()[1]
+        return port
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        client = asyncio.current_task()
+        assert client is not None
+        self._clients[client] = writer
+        try:
+            if len(self._clients) <= MAX_CLIENTS:
+                await self._answer_requests(reader, writer)
+        except (ConnectionError, TimeoutError, asyncio.IncompleteReadError):
+            pass  # the client went away or stopped reading; it may connect again
+        finally:
+            del self._clients[client]
+            writer.close()
+
+    async def _answer_requests(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        loop = asyncio.get_running_loop()
+        while await reader.readexactly(len(REQUEST)) == REQUEST:
+            if self.silent:
+                continue
+            scene = self._scene()
+            self._on_capture(scene)
+            jpeg = await loop.run_in_executor(self._thread, self._photograph, scene)
+            writer.write(ANSWER.pack(REQUEST, scene.time_s, len(jpeg)) + jpeg)
+            async with asyncio.timeout(SEND_TIMEOUT_S):
+                await writer.drain()
+
+    def _photograph(self, scene: Scene) -> bytes:
+        """The scene as a JPEG without colour subsampling."""
+        options = [
+            cv2.IMWRITE_JPEG_QUALITY,
+            JPEG_QUALITY,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+        ]
+        is_encoded, jpeg = cv2.imencode(".jpg", self._renderer.render(scene), options)
+        assert is_encoded
+        return jpeg.tobytes()

@@ -1,0 +1,237 @@
+"""What the downward camera would see of a scene.
+
+The projection is built here from a camera matrix and elementary rotations, on purpose without
+`dronemon.frames`: two independent derivations cannot share a sign error.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from dronemon.frames import AreaFrame
+from dronemon.mission.schema import APPEARANCES
+from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
+from sim.animals import NUM_PHASES, SPRITE_PX_PER_M, draw_sprites, stride_m
+from sim.ground import TEXEL_M, TILE_M, draw_ground, pyramid
+from sim.scene import Animal, Scene
+
+_SHADOW_PER_M = (0.45, 0.40)
+"""Shadow of a pole one metre high, to the north and to the east."""
+_SHADOW_STRENGTH = 0.5
+_NOISE_STD = 2.5
+_BLUR_PX = 0.55
+_SKY = (226, 206, 178)
+_TAPE = (168, 196, 206)
+_MIN_HEIGHT_M = 0.2
+
+
+class Renderer:
+    """Draws pictures of scenes. The same seed and the same scene give the same picture."""
+
+    def __init__(self, camera: CameraModel, seed: int) -> None:
+        ground_rng, noise_rng = np.random.default_rng(seed).spawn(2)
+        self._camera = camera
+        self._tiles = pyramid(draw_ground(ground_rng), 6)
+        self._sprites = {name: draw_sprites(name) for name in APPEARANCES}
+        shape = (camera.height_px + 64, camera.width_px + 64, 3)
+        self._noise = np.rint(noise_rng.normal(128.0, _NOISE_STD, shape)).astype(np.uint8)
+
+    def render(self, scene: Scene) -> ImageArray:
+        """The picture of a scene. -> (height, width, 3) uint8 BGR"""
+        view = _View(self._camera, scene.pose, scene.ground_down_m)
+        image = self._draw_ground(view)
+        _draw_tape(image, view, scene.frame)
+        for animal in scene.animals:
+            self._draw_animal(image, view, animal)
+        _draw_sky(image, view)
+        return self._expose(image, scene.time_s)
+
+    def _draw_ground(self, view: _View) -> ImageArray:
+        level = math.log2(1.0 / (view.px_per_m * TEXEL_M))
+        level = min(max(round(level), 0), len(self._tiles) - 1)
+        texels_per_m = 1.0 / (TEXEL_M * 2**level)
+        north_m, east_m = view.north_east_m
+        # Indices of the texture: columns run east, rows run south; whole tiles are left out.
+        texture_from_ground = np.array(
+            [
+                [0.0, texels_per_m, (east_m % TILE_M) * texels_per_m - 0.5],
+                [-texels_per_m, 0.0, (-north_m % TILE_M) * texels_per_m - 0.5],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        return _warp(
+            self._tiles[level],
+            texture_from_ground @ np.linalg.inv(view.homography(0.0)),
+            (self._camera.width_px, self._camera.height_px),
+            cv2.BORDER_WRAP,
+        )
+
+    def _draw_animal(self, image: ImageArray, view: _View, animal: Animal) -> None:
+        phase = animal.walked_m / stride_m(animal.appearance) % 1.0
+        sprite = self._sprites[animal.appearance][int(phase * NUM_PHASES) % NUM_PHASES]
+        height_m = sprite.body_height_m
+        north_m, east_m = np.subtract(animal.position_ned_m, view.north_east_m)
+        shadow_at = (
+            north_m + _SHADOW_PER_M[0] * height_m,
+            east_m + _SHADOW_PER_M[1] * height_m,
+            animal.heading_rad,
+        )
+        at = (north_m, east_m, animal.heading_rad)
+        _stamp(image, view, sprite.body, at=shadow_at, height_m=0.0, is_shadow=True)
+        for fraction in (0.0, 0.35, 0.7):
+            _stamp(image, view, sprite.legs, at=at, height_m=fraction * height_m)
+        _stamp(image, view, sprite.body, at=at, height_m=height_m)
+
+    def _expose(self, image: ImageArray, time_s: float) -> ImageArray:
+        """Slight blur and sensor noise that differs from one instant to the next."""
+        row, column = np.random.default_rng(round(abs(time_s) * 1e6)).integers(0, 64, 2)
+        height, width = image.shape[:2]
+        noise = self._noise[row : row + height, column : column + width]
+        blurred = cv2.GaussianBlur(image, (3, 3), _BLUR_PX)
+        return np.asarray(cv2.addWeighted(blurred, 1.0, noise, 1.0, -128.0), np.uint8)
+
+
+class _View:
+    """The projection of one picture. Ground points are (north, east) in m from the vehicle."""
+
+    def __init__(self, camera: CameraModel, pose: Pose, ground_down_m: float) -> None:
+        focal_px = 0.5 * camera.width_px / math.tan(0.5 * camera.horizontal_fov_rad)
+        # Array indices: a pixel's index is that of its centre, half a pixel from its edge.
+        self._intrinsics = np.array(
+            [
+                [focal_px, 0.0, 0.5 * (camera.width_px - 1)],
+                [0.0, focal_px, 0.5 * (camera.height_px - 1)],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        roll, pitch, yaw = pose.attitude_rad
+        ned_from_body = _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
+        # The camera's x is the body's right, its y the body's back, its z the body's down.
+        body_from_camera = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        self._camera_from_ned = (ned_from_body @ body_from_camera).T
+        self.north_east_m = pose.position_ned_m[:2]
+        self.height_m = max(ground_down_m - pose.position_ned_m[2], _MIN_HEIGHT_M)
+        self.px_per_m = focal_px / self.height_m
+
+    def homography(self, plane_height_m: float) -> FloatArray:
+        """-> (3, 3) from (north, east, 1) on a plane above the ground to (column, row, 1) depth."""
+        below = np.diag([1.0, 1.0, self.height_m - plane_height_m])
+        homography: FloatArray = self._intrinsics @ self._camera_from_ned @ below
+        return homography
+
+    def down_per_pixel(self) -> FloatArray:
+        """-> (3,) so that its product with (column, row, 1) is positive below the horizon."""
+        down: FloatArray = (self._camera_from_ned.T @ np.linalg.inv(self._intrinsics))[2]
+        return down
+
+
+def _turn(axis: int, angle_rad: float) -> FloatArray:
+    """Right-handed rotation about one axis. -> (3, 3)"""
+    vector = np.zeros(3)
+    vector[axis] = angle_rad
+    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
+
+
+def _warp(
+    source: ImageArray, source_from_target: FloatArray, size: tuple[int, int], border: int
+) -> ImageArray:
+    """Picture of `size` (width, height) whose every pixel is looked up in the source."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    warped = cv2.warpPerspective(source, source_from_target, size, flags=flags, borderMode=border)
+    return np.asarray(warped, np.uint8)
+
+
+def _stamp(
+    image: ImageArray,
+    view: _View,
+    levels: tuple[ImageArray, ...],
+    *,
+    at: tuple[float, float, float],
+    height_m: float,
+    is_shadow: bool = False,
+) -> None:
+    """Lay one layer of a sprite into the picture. at: north, east from the vehicle, heading."""
+    if view.height_m - height_m < _MIN_HEIGHT_M:
+        return
+    homography = view.homography(height_m) @ _ground_from_sprite(levels[0].shape, at)
+    rows, columns = levels[0].shape[:2]
+    corners = np.array([[0, 0, 1], [columns, 0, 1], [columns, rows, 1], [0, rows, 1]]) - 0.5
+    corners[:, 2] = 1.0
+    projected = corners @ homography.T
+    if projected[:, 2].min() < 0.05 * view.height_m:
+        return  # at or behind the horizon
+    points = projected[:, :2] / projected[:, 2:]
+    left, top = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
+    right, bottom = np.minimum(
+        np.ceil(points.max(axis=0)).astype(int) + 1, (image.shape[1], image.shape[0])
+    )
+    if left >= right or top >= bottom:
+        return
+    texels_per_px = math.sqrt(rows * columns / max(cv2.contourArea(points.astype(np.float32)), 1.0))
+    level = min(max(round(math.log2(texels_per_px)), 0), len(levels) - 1)
+    shrunk = np.diag([2.0**-level, 2.0**-level, 1.0])
+    shrunk[:2, 2] = 0.5 * (2.0**-level - 1.0)
+    moved = np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
+    layer = _warp(
+        levels[level],
+        shrunk @ np.linalg.inv(homography) @ moved,
+        (int(right - left), int(bottom - top)),
+        cv2.BORDER_CONSTANT,
+    )
+    part = image[top:bottom, left:right]
+    alpha = layer[..., 3:] * np.float32(1.0 / 255.0)
+    if is_shadow:
+        part[:] = part * (1.0 - _SHADOW_STRENGTH * alpha)
+    else:
+        part[:] = part * (1.0 - alpha) + layer[..., :3]
+
+
+def _ground_from_sprite(shape: tuple[int, ...], at: tuple[float, float, float]) -> FloatArray:
+    """-> (3, 3) from (column, row, 1) of a sprite to (north, east, 1)"""
+    north_m, east_m, heading_rad = at
+    s, c = math.sin(heading_rad) / SPRITE_PX_PER_M, math.cos(heading_rad) / SPRITE_PX_PER_M
+    turned = np.array([[c, -s, north_m], [s, c, east_m], [0.0, 0.0, 1.0]])
+    centred = np.eye(3)
+    centred[:2, 2] = -0.5 * (shape[1] - 1), -0.5 * (shape[0] - 1)
+    moved: FloatArray = turned @ centred
+    return moved
+
+
+def _draw_tape(image: ImageArray, view: _View, frame: AreaFrame) -> None:
+    """The area's boundary, a pale tape on the ground."""
+    half_diagonal_m = frame.side_m / math.sqrt(2.0)
+    bearings = frame.heading_rad + np.deg2rad([45.0, 135.0, 225.0, 315.0])
+    corners = np.ones((4, 3))
+    corners[:, 0] = frame.centre_ned_m[0] + half_diagonal_m * np.cos(bearings)
+    corners[:, 1] = frame.centre_ned_m[1] + half_diagonal_m * np.sin(bearings)
+    corners[:, :2] -= view.north_east_m
+    projected = corners @ view.homography(0.0).T
+    thickness = max(1, round(0.12 * view.px_per_m))
+    nearest = 0.05 * view.height_m
+    for start, end in zip(projected, np.roll(projected, -1, axis=0), strict=True):
+        if max(start[2], end[2]) <= nearest:
+            continue
+        ends = []
+        for point, other in ((start, end), (end, start)):
+            t = (
+                max(0.0, (nearest - point[2]) / (other[2] - point[2]))
+                if point[2] < nearest
+                else 0.0
+            )
+            inside = point + t * (other - point)
+            ends.append([int(v) for v in np.rint(16.0 * inside[:2] / inside[2])])
+        cv2.line(image, ends[0], ends[1], _TAPE, thickness, cv2.LINE_AA, 4)
+
+
+def _draw_sky(image: ImageArray, view: _View) -> None:
+    """Haze and sky over what is less than a few degrees below the horizon."""
+    height, width = image.shape[:2]
+    down = view.down_per_pixel()
+    corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]])
+    if (corners @ down).min() > 0.05:
+        return
+    rows, columns = np.arange(height)[:, None], np.arange(width)[None, :]
+    image[columns * down[0] + rows * down[1] + down[2] <= 0.05] = _SKY
