@@ -6,7 +6,7 @@ Source: Rasmussen & Williams (2006), algorithm 2.1; kernel and length scales: pa
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -36,13 +36,8 @@ class Matern32:
         scale = math.sqrt(3.0) / a.new_tensor(self.length_scales_au)
         # The matrix-product form of the distance would lose half the digits of nearby points.
         r = torch.cdist(a * scale, b * scale, compute_mode="donot_use_mm_for_euclid_dist")
-        return self.of_scaled_distance(r)
-
-    @staticmethod
-    def of_scaled_distance(r: Tensor) -> Tensor:
-        """Covariance at a distance. r: (...) √3 times the distance in length scales -> (...)."""
-        decay = r.neg().exp_()
-        return decay.addcmul_(decay, r)
+        decay = r.neg_().exp()
+        return decay.addcmul_(decay, r, value=-1.0)  # (1 + r) exp(-r)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +69,31 @@ class Posterior:
     def std(self, query: Tensor) -> Tensor:
         """Posterior standard deviation alone. query: (..., m, 3) au -> (..., m) in [0, 1]."""
         return self._in_blocks(query, with_mean=False, with_std=True)[1]
+
+    def common_mean(self, query: Tensor, shared: Tensor) -> Tensor:
+        """Posterior means of N processes at the same points: `mean`, but faster for many of them.
+
+        The covariance with a point that several processes share is worked out once.
+
+        query: (m, 3) au; shared: (n, 3) au, points that many processes have -> (N, m).
+        """
+        n = shared.shape[0]
+        is_own = (self.points != shared).any(dim=-1) & (self.weights != 0.0)  # (N, n)
+        process, index = is_own.nonzero(as_tuple=True)
+        points = torch.cat([shared, self.points[process, index]])
+        weights = self.weights.new_zeros(self.weights.shape[0], points.shape[0])
+        weights[:, :n] = self.weights.masked_fill(is_own, 0.0)
+        weights[process, n + torch.arange(len(index))] = self.weights[process, index]
+        return weights @ self.kernel(points, query)
+
+    def __getitem__(self, index: int) -> Posterior:
+        """The processes at an index of the first batch dimension."""
+        return replace(
+            self,
+            points=self.points[index],
+            cholesky=self.cholesky[index],
+            weights=self.weights[index],
+        )
 
     def _in_blocks(
         self, query: Tensor, *, with_mean: bool, with_std: bool

@@ -1,0 +1,277 @@
+"""How good a belief is, measured where the targets truly are.
+
+    sigma_bar  mean standard deviation over a target's area
+    Unc        mean of sigma_bar over targets and instants
+    JSD        Jensen-Shannon divergence of the belief from a bump at the true position, in nats
+    MinOb      observations of the target that was observed least
+    lost       whether sigma_bar > 0.9
+
+Source: paper, sections IV-A.3 and V-A.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from dronemon.belief.gp import Matern32, Posterior, fit
+from dronemon.belief.store import WINDOW_TIME_SCALES
+from dronemon.mission.schema import SENSOR_RADIUS_AU
+from dronemon.types import BoolArray, FloatArray
+
+Prior = Literal["full", "number", "none"]
+"""What is known at the start: positions and number of targets, their number alone, or nothing."""
+GRID_SIZE = 40
+"""Points of the evaluation grid along each axis, both borders included."""
+LOST_STD = 0.9
+_AREA_SPAN = math.floor(2.0 * SENSOR_RADIUS_AU * (GRID_SIZE - 1)) + 1
+"""Most grid points of a target area along one axis."""
+_BUMP_STD_AU = 0.1
+_JSD_FLOOR = 1e-8
+_INSTANTS_AT_ONCE = 16
+"""Instants of an episode scored together; bounds the memory and stays in cache."""
+
+
+def evaluation_grid(
+    dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+) -> Tensor:
+    """Points at which beliefs are compared with the truth. -> (1600, 2) au, y changing fastest."""
+    axis = torch.linspace(0.0, 1.0, GRID_SIZE, dtype=dtype, device=device)
+    return torch.cartesian_prod(axis, axis)
+
+
+def target_area(targets_au: Tensor) -> tuple[Tensor, Tensor]:
+    """Grid points nearer than 0.1 to each target.
+
+    targets_au: (..., 2) au -> points (..., 64, 2) au, is_inside (..., 64) bool.
+
+    The points are the square of grid points around the target; some are outside the area.
+    """
+    first = torch.ceil((targets_au - SENSOR_RADIUS_AU) * (GRID_SIZE - 1))  # (..., 2)
+    steps = torch.arange(_AREA_SPAN, dtype=targets_au.dtype, device=targets_au.device)
+    axes = first[..., None] + steps  # (..., 2, 8)
+    is_on_grid = (axes >= 0) & (axes < GRID_SIZE)
+    axes = axes / (GRID_SIZE - 1)
+    shape = (*targets_au.shape[:-1], _AREA_SPAN, _AREA_SPAN)
+    points = torch.stack(
+        [axes[..., 0, :, None].expand(shape), axes[..., 1, None, :].expand(shape)], dim=-1
+    ).flatten(-3, -2)
+    is_inside = (is_on_grid[..., 0, :, None] & is_on_grid[..., 1, None, :]).flatten(-2)
+    distance_au = torch.linalg.vector_norm(points - targets_au[..., None, :], dim=-1)
+    return points, is_inside & (distance_au < SENSOR_RADIUS_AU)
+
+
+def area_std(posterior: Posterior, targets_au: Tensor, time_au: Tensor) -> Tensor:
+    """Mean posterior standard deviation over each target's area: sigma_bar.
+
+    posterior: of shape (...); targets_au: (..., 2) true positions; time_au: (...) au -> (...).
+    """
+    points, is_inside = target_area(targets_au)
+    time = time_au[..., None, None].expand_as(points[..., :1])
+    std = posterior.std(torch.cat([points, time], dim=-1))
+    return torch.where(is_inside, std, 0.0).sum(-1) / is_inside.sum(-1)
+
+
+def jensen_shannon(mean: Tensor, targets_au: Tensor) -> Tensor:
+    """JSD between beliefs and unit bumps at the true positions.
+
+    mean: (..., 1600) posterior mean on the grid; targets_au: (..., 2) au -> (...) in [0, ln 2] nat.
+    """
+    axis = torch.linspace(0.0, 1.0, GRID_SIZE, dtype=mean.dtype, device=mean.device)
+    along = torch.exp(
+        -0.5 * ((axis - targets_au[..., None]) / _BUMP_STD_AU).square()
+    )  # (..., 2, 40)
+    bump = (along[..., 0, :, None] * along[..., 1, None, :]).flatten(-2)
+    p, q = _normalised(bump), _normalised(mean.clamp_min(0.0))
+    middle = 0.5 * (p + q)
+    return 0.5 * (p * (p / middle).log() + q * (q / middle).log()).sum(-1)
+
+
+def _normalised(weight: Tensor) -> Tensor:
+    """Distribution over the grid, nowhere zero. (..., 1600) -> (..., 1600)."""
+    raised = weight + _JSD_FLOOR
+    return raised / raised.sum(-1, keepdim=True)
+
+
+def peak_error_au(mean: Tensor, targets_au: Tensor) -> Tensor:
+    """Distance from the belief's highest grid point to the target; NaN where no mean is positive.
+
+    mean: (..., 1600) posterior mean on the grid; targets_au: (..., 2) au -> (...) au.
+    """
+    height, index = mean.max(dim=-1)
+    peak_au = evaluation_grid(mean.dtype, mean.device)[index]
+    error_au = torch.linalg.vector_norm(peak_au - targets_au, dim=-1)
+    return torch.where(height > 0.0, error_au, torch.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scores:
+    """One episode in a few figures; means are over all its measurement instants.
+
+    unc:           mean of sigma_bar over targets
+    unc_std:       standard deviation of sigma_bar between targets
+    lost:          fraction with sigma_bar > 0.9
+    min_ob:        observations of the target observed least
+    jsd:           nat
+    since_seen_au: time since a target was last seen
+    peak_error_au: of beliefs that have a peak; NaN if none ever had
+    """
+
+    unc: float
+    unc_std: float
+    lost: float
+    min_ob: int
+    jsd: float
+    since_seen_au: float
+    peak_error_au: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeMetrics:
+    """Every metric of every target at every instant; index 0 is before the first measurement.
+
+    unc: (S+1, N) sigma_bar; jsd: (S+1, N) nat; peak_error_au: (S+1, N), NaN without a peak;
+    since_seen_au: (S+1, N), counted from the start before the first sight; observed: (S+1, N) bool.
+    """
+
+    unc: FloatArray
+    jsd: FloatArray
+    peak_error_au: FloatArray
+    since_seen_au: FloatArray
+    observed: BoolArray
+
+    @property
+    def scores(self) -> Scores:
+        """The episode's figures, over its measurements."""
+        unc, has_peak = self.unc[1:], np.isfinite(self.peak_error_au[1:])
+        errors_au = self.peak_error_au[1:][has_peak]
+        return Scores(
+            unc=float(unc.mean()),
+            unc_std=float(unc.std(axis=1).mean()),
+            lost=float((unc > LOST_STD).mean()),
+            min_ob=int(self.observed[1:].sum(axis=0).min()),
+            jsd=float(self.jsd[1:].mean()),
+            since_seen_au=float(self.since_seen_au[1:].mean()),
+            peak_error_au=float(errors_au.mean()) if errors_au.size else math.nan,
+        )
+
+
+def episode_metrics(
+    time_au: FloatArray,
+    agent_au: FloatArray,
+    targets_au: FloatArray,
+    observed: BoolArray,
+    *,
+    prior: Prior = "full",
+    kernel: Matern32 | None = None,
+) -> EpisodeMetrics:
+    """Score the belief that a recorded episode led to, at every instant.
+
+    time_au:    (S+1,)      au, increasing; index 0 is the start, the others the measurements
+    agent_au:   (S+1, 2)    au
+    targets_au: (S+1, N, 2) au, true positions
+    observed:   (S+1, N)    bool, whether the target was seen; index 0 is ignored
+    """
+    kernel = kernel if kernel is not None else Matern32()
+    history = _History.of(time_au, agent_au, targets_au, observed, prior)
+    window_au = WINDOW_TIME_SCALES * kernel.length_scales_au[2]
+    grid = evaluation_grid()
+    unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
+    for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
+        block = torch.arange(start, min(start + _INSTANTS_AT_ONCE, len(time_au)))
+        points, values, mask, shared = history.windows(block, window_au)
+        posterior = fit(points, values, mask, kernel=kernel)  # (block, N)
+        now_au, truth_au = history.time_au[block], history.targets_au[block]
+        unc[block] = area_std(posterior, truth_au, now_au[:, None].expand(truth_au.shape[:-1]))
+        mean = torch.stack(
+            [
+                posterior[i].common_mean(pad(grid, (0, 1), value=float(t)), shared[i])
+                for i, t in enumerate(now_au)
+            ]
+        )  # (block, N, 1600)
+        jsd[block] = jensen_shannon(mean, truth_au)
+        error_au[block] = peak_error_au(mean, truth_au)
+    return EpisodeMetrics(
+        unc=unc.numpy(),
+        jsd=jsd.numpy(),
+        peak_error_au=error_au.numpy(),
+        since_seen_au=since_seen_au(time_au, observed),
+        observed=observed,
+    )
+
+
+def since_seen_au(time_au: FloatArray, observed: BoolArray) -> FloatArray:
+    """Time since each target was last seen, or since the start.
+
+    time_au: (S+1,) au; observed: (S+1, N) bool -> (S+1, N) au.
+    """
+    seen_au = np.where(observed, time_au[:, None], time_au[0])
+    since: FloatArray = time_au[:, None] - np.maximum.accumulate(seen_au, axis=0)
+    return since
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _History:
+    """A recorded episode as observations, so that any instant's window can be cut out of it.
+
+    time_au: (S+1,); targets_au: (S+1, N, 2); agent_points: (S+1, 3) where it was when;
+    points: (S+1, N, 3) and values: (S+1, N), what each instant told; is_known: (S+1, N) whether
+    the target is believed in; has_prior: (N,).
+    """
+
+    time_au: Tensor
+    targets_au: Tensor
+    agent_points: Tensor
+    points: Tensor
+    values: Tensor
+    is_known: Tensor
+    has_prior: Tensor
+
+    @classmethod
+    def of(
+        cls,
+        time_au: FloatArray,
+        agent_au: FloatArray,
+        targets_au: FloatArray,
+        observed: BoolArray,
+        prior: Prior,
+    ) -> _History:
+        """Read what each measurement told about each target; index 0 holds the prior."""
+        seen = observed.copy()
+        seen[0] = prior == "full"
+        known = np.maximum.accumulate(seen, axis=0) | (prior == "number")
+        place = np.where(seen[..., None], targets_au, agent_au[:, None])
+        time = np.broadcast_to(time_au[:, None, None], (*seen.shape, 1))
+        agent_points = np.concatenate([agent_au, time_au[:, None]], axis=-1)
+        return cls(
+            time_au=torch.as_tensor(time_au),
+            targets_au=torch.as_tensor(targets_au),
+            agent_points=torch.as_tensor(agent_points),
+            points=torch.as_tensor(np.concatenate([place, time], axis=-1)),
+            values=torch.as_tensor(seen, dtype=torch.float64),
+            is_known=torch.as_tensor(known),
+            has_prior=torch.as_tensor(seen[0]),
+        )
+
+    def windows(self, instants: Tensor, window_au: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Observations that count at some instants.
+
+        instants: (T,) -> points (T, N, n, 3), values (T, N, n), mask (T, N, n), and the points
+        (T, n, 3) that targets which were not seen have in common.
+        """
+        begin = torch.searchsorted(self.time_au, self.time_au[instants] - window_au)
+        width = int((instants - begin).amax()) + 1
+        index = instants[:, None] - torch.arange(width)  # (T, n), the newest first
+        age_au = self.time_au[instants, None] - self.time_au[index.clamp_min(0)]
+        counts = (index >= 0) & (age_au < window_au)
+        index = index.clamp_min(0)
+        is_real = (index > 0)[:, None] | self.has_prior[:, None]  # (T, N, n)
+        mask = counts[:, None] & is_real & self.is_known[instants][..., None]
+        points, values = self.points[index].transpose(1, 2), self.values[index].transpose(1, 2)
+        return points, values, mask, self.agent_points[index]
