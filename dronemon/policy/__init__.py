@@ -1,5 +1,15 @@
 """The learned policy: features, the paper's network, its memory in flight, checkpoints."""
 
+from dronemon.policy.checkpoint import (
+    DEFAULT_HISTORY,
+    Card,
+    Checkpoint,
+    find_checkpoint,
+    load_checkpoint,
+    read_tensors,
+    save_checkpoint,
+    write_atomically,
+)
 from dronemon.policy.features import (
     LENGTH_SCALE_AU,
     Graphs,
@@ -18,7 +28,10 @@ from dronemon.policy.network import (
 )
 
 __all__ = [
+    "DEFAULT_HISTORY",
     "LENGTH_SCALE_AU",
+    "Card",
+    "Checkpoint",
     "Graphs",
     "History",
     "NetworkConfig",
@@ -28,6 +41,11 @@ __all__ = [
     "TemporalEncoder",
     "Verdict",
     "belief_features",
+    "find_checkpoint",
+    "load_checkpoint",
     "num_windows",
     "pool_windows",
+    "read_tensors",
+    "save_checkpoint",
+    "write_atomically",
 ]

@@ -152,8 +152,9 @@ class TargetEncoder(nn.Module):
         flat = windows.flatten(3, 4)  # (B, P, V, nN, F)
         scores = narrow[:, None] @ flat.transpose(-1, -2)
         scores = scores.view(*scores.shape[:-1], -1, num_targets)  # (B, P, V, H, n, N)
-        scores = scores.masked_fill(~target_mask[:, None, None, None, None], -torch.inf)
-        weights = scores.softmax(-1)  # (B, P, V, H, n, N)
+        is_unknown = ~target_mask[:, None, None, None, None]
+        # A finite mask, so that the softmax over no known target at all is a number; it counts 0.
+        weights = scores.masked_fill(is_unknown, -1e9).softmax(-1).masked_fill(is_unknown, 0.0)
         mixed = (weights[..., None] * windows[:, :, :, None]).sum(-2)  # (B, P, V, H, n, F)
         value_map = maps.split(maps.value.weight @ self.belief.weight)
         out_map = maps.split(maps.out.weight.T)  # (H, d / H, d)

@@ -1,0 +1,105 @@
+"""The learned planner: the paper's attention network chooses the next roadmap node, greedily.
+
+Source: paper, section IV. Between decisions it keeps its encoded windows, so that each decision
+encodes one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from dronemon.planner.planner import Briefing, Snapshot, Waypoint
+from dronemon.policy import (
+    DEFAULT_HISTORY,
+    Checkpoint,
+    Graphs,
+    History,
+    belief_features,
+    find_checkpoint,
+    load_checkpoint,
+)
+from dronemon.roadmap import Roadmap, laplacian_encoding
+
+
+class LearnedPlanner:
+    """Flies a trained policy network over the roadmap."""
+
+    name = "stamp"
+
+    def __init__(
+        self,
+        checkpoint: Checkpoint,
+        *,
+        history: int = DEFAULT_HISTORY,
+        prediction_au: float = 2.0,
+    ) -> None:
+        self._network = checkpoint.network
+        self._history = history
+        self._prediction_au = prediction_au
+
+    @classmethod
+    def load(cls, checkpoint: str | None = None, *, prediction_au: float = 2.0) -> LearnedPlanner:
+        """The planner of a checkpoint's path or name; of the shipped one for None.
+
+        Raises CheckpointMismatch.
+        """
+        loaded = load_checkpoint(find_checkpoint(checkpoint))
+        return cls(loaded, prediction_au=prediction_au)
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        """Forget the last mission's history and encode the new roadmap."""
+        num_eigenvectors = self._network.config.num_eigenvectors
+        self._graphs = Graphs.of(
+            torch.as_tensor(roadmap.nodes_au),
+            torch.as_tensor(laplacian_encoding(roadmap, num_eigenvectors)),
+            torch.as_tensor(roadmap.neighbours),
+            torch.as_tensor(roadmap.distance_au),
+        )
+        self._memory = History(self._network, self._graphs, self._history)
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        """The neighbour with the greatest logit; details hold all logits and the value."""
+        node = snapshot.node if snapshot.node is not None else _nearest_node(snapshot)
+        frame, target_mask = self._believe(snapshot)
+        verdict = self._memory.decide(
+            frame,
+            target_mask,
+            torch.tensor([snapshot.time_au], dtype=torch.float64),
+            torch.tensor([node]),
+        )
+        logits = verdict.logits[0, 0]
+        allowed = self._graphs.neighbour_mask[0, node]
+        neighbours = self._graphs.neighbours[0, node]
+        chosen = int(neighbours[logits.argmax()])
+        return Waypoint(
+            position_au=snapshot.roadmap.nodes_au[chosen],
+            node=chosen,
+            details={
+                "neighbours": neighbours[allowed].tolist(),
+                "logits": logits[allowed].tolist(),
+                "value": float(verdict.value[0, 0]),
+            },
+        )
+
+    def _believe(self, snapshot: Snapshot) -> tuple[torch.Tensor, torch.Tensor]:
+        """The belief at every node. -> frame (1, V, N, 4), target mask (1, N); N >= 1."""
+        nodes_au = snapshot.roadmap.nodes_au
+        num_nodes = len(nodes_au)
+        times_au = np.repeat([snapshot.time_au, snapshot.time_au + self._prediction_au], num_nodes)
+        query_au = np.concatenate([np.tile(nodes_au, (2, 1)), times_au[:, None]], axis=1)
+        mean, std = (torch.as_tensor(v) for v in snapshot.belief.posterior(query_au))
+        if not len(mean):  # nothing is known of any target yet: one of which nothing is known
+            mean, std = torch.zeros(1, 2 * num_nodes), torch.ones(1, 2 * num_nodes)
+            target_mask = torch.zeros(1, 1, dtype=torch.bool)
+        else:
+            target_mask = torch.ones(1, len(mean), dtype=torch.bool)
+        now, later = slice(None, num_nodes), slice(num_nodes, None)
+        frame = belief_features(mean[:, now], std[:, now], mean[:, later], std[:, later])
+        return frame[None], target_mask
+
+
+def _nearest_node(snapshot: Snapshot) -> int:
+    """The roadmap node to decide at when the agent is at none, as after a pilot's excursion."""
+    offset_au = snapshot.roadmap.nodes_au - snapshot.position_au
+    return int(np.hypot(offset_au[:, 0], offset_au[:, 1]).argmin())
