@@ -1,0 +1,191 @@
+"""`python -m sim MISSION.yaml`: the simulated world, vehicle and camera in one process.
+
+When all is up it prints one line of JSON on stdout (`camera`, `targets_au`, `truth`); logs go to
+stderr. It ends on SIGTERM or SIGINT.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from dronemon.errors import MissionFileError
+from dronemon.mission import Mission
+from dronemon.mission.load import find_mission, load_mission
+from sim.camera import CameraServer
+from sim.faults import parse_fault
+from sim.follow import Follower, parse_udpin
+from sim.simulation import Simulation
+from sim.world import TruthFile, World
+
+_LOG = logging.getLogger("sim")
+
+
+def main() -> int:
+    """Run the simulator. -> exit status."""
+    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="sim: %(message)s")
+    options = _parser().parse_args()
+    try:
+        mission = load_mission(find_mission(options.mission)).mission
+        with TruthFile(options.truth) as truth:
+            asyncio.run(_run(mission, truth, options))
+    except MissionFileError as exc:
+        _LOG.error("%s", exc)
+        return exc.exit_code
+    except OSError as exc:
+        _LOG.error("%s", exc)
+        return 2
+    return 0
+
+
+async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) -> None:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    if options.parent:
+        thread = threading.Thread(target=_wait_for_parent, args=(loop, stop), daemon=True)
+        thread.start()
+    world = World(mission)
+    if options.follow is not None:
+        await _follow(mission, world, truth, options.follow, stop)
+    else:
+        await _fly(mission, world, truth, options, stop)
+    _LOG.info("ended")
+
+
+async def _fly(
+    mission: Mission,
+    world: World,
+    truth: TruthFile,
+    options: argparse.Namespace,
+    stop: asyncio.Event,
+) -> None:
+    """The mock autopilot in the world, until `stop`."""
+    simulation = Simulation(mission, world, tuple(options.fault))
+    speed_up = options.speed_up or mission.vehicle.speed_up
+    camera = CameraServer(
+        mission.camera.model, mission.simulation.seed, simulation.scene, truth.write
+    )
+    async with camera:
+        simulation.camera = camera
+        await simulation.open_links(options.mavlink_out)
+        async with asyncio.TaskGroup() as tasks:
+            flight = tasks.create_task(simulation.run(speed_up), name="flight")
+            _announce(camera, world, truth)
+            await stop.wait()
+            flight.cancel()
+        simulation.close_links()
+
+
+async def _follow(
+    mission: Mission,
+    world: World,
+    truth: TruthFile,
+    address: tuple[str, int],
+    stop: asyncio.Event,
+) -> None:
+    """The world below a vehicle that flies elsewhere, until `stop`."""
+    async with Follower(world, address) as follower:
+        camera = CameraServer(
+            mission.camera.model, mission.simulation.seed, follower.scene, truth.write
+        )
+        async with camera, asyncio.TaskGroup() as tasks:
+            listening = tasks.create_task(follower.run(camera), name="follow")
+            _announce(camera, world, truth)
+            await stop.wait()
+            listening.cancel()
+
+
+def _announce(camera: CameraServer, world: World, truth: TruthFile) -> None:
+    """Say on stdout where everything is."""
+    line = {
+        "camera": f"tcp://127.0.0.1:{camera.port}",
+        "targets_au": world.targets_au(0.0).tolist(),
+        "truth": None if truth.path is None else str(truth.path),
+    }
+    sys.stdout.write(json.dumps(line) + "\n")
+    sys.stdout.flush()
+
+
+def _wait_for_parent(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
+    """Stop when stdin closes, which it does when the parent is gone."""
+    while os.read(0, 4096):
+        pass
+    loop.call_soon_threadsafe(stop.set)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m sim", description=__doc__)
+    parser.add_argument("mission", help="mission file, or the name of a shipped mission")
+    parser.add_argument(
+        "--mavlink-out",
+        type=_address,
+        action="append",
+        default=[],
+        metavar="IP:PORT",
+        help="where the autopilot streams to; may be repeated",
+    )
+    parser.add_argument("--speed-up", type=_speed_up, help="times real time, 1 to 20")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="write the truth there")
+    parser.add_argument(
+        "--fault",
+        type=_checked(parse_fault),
+        action="append",
+        default=[],
+        metavar="KIND[=VALUE]@SECONDS[+DURATION]",
+        help="a fault, in vehicle seconds after arming; may be repeated",
+    )
+    parser.add_argument(
+        "--follow",
+        type=_checked(parse_udpin),
+        metavar="udpin://IP:PORT",
+        help="no autopilot: world and camera follow the vehicle heard there",
+    )
+    parser.add_argument("--parent", action="store_true", help="end when stdin closes")
+    return parser
+
+
+_T = TypeVar("_T")
+
+
+def _checked(parse: Callable[[str], _T]) -> Callable[[str], _T]:
+    """The parser with its error text kept, which argparse drops from a ValueError."""
+
+    def parse_argument(text: str) -> _T:
+        try:
+            return parse(text)
+        except ValueError as exc:
+            raise argparse.ArgumentTypeError(str(exc)) from exc
+
+    return parse_argument
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or not 0 < int(port) < 65536:
+        raise argparse.ArgumentTypeError(f"{text!r} is not IP:PORT, such as 127.0.0.1:14540")
+    return host, int(port)
+
+
+def _speed_up(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1.0 <= value <= 20.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 20")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

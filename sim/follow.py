@@ -1,0 +1,177 @@
+"""Any MAVLink vehicle's pose as a world's clock and camera: a real PX4 SITL over the same animals.
+
+It listens as a ground station on an endpoint of its own. A picture is taken at the newest instant
+of which the pose is known; what is older is carried on to it with its rate of change.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+from types import TracebackType
+from typing import Any, Self
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from dronemon.frames import GeoPoint
+from dronemon.types import Pose, Vector3
+from sim.camera import CameraServer
+from sim.scene import Scene
+from sim.world import World
+
+_SYSTEM_ID = 254
+_HEARTBEAT_INTERVAL_S = 1.0
+_WANTED_HZ = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+}
+
+
+def parse_udpin(url: str) -> tuple[str, int]:
+    """IP and port of udpin://IP:PORT. Raises ValueError."""
+    match = re.fullmatch(r"udpin://([0-9.]+):(\d{1,5})", url)
+    if match is None or not 0 < int(match[2]) < 65536:
+        raise ValueError(f"{url!r} is not udpin://IP:PORT, such as udpin://127.0.0.1:14550")
+    return match[1], int(match[2])
+
+
+class Follower(asyncio.DatagramProtocol):
+    """Hears a vehicle at `address` and shows the world as it sees it; an async context manager."""
+
+    def __init__(self, world: World, address: tuple[str, int]) -> None:
+        self._world = world
+        self._address = address
+        self._mav = mavlink.MAVLink(None, srcSystem=_SYSTEM_ID, srcComponent=190)
+        self._mav.robust_parsing = True
+        self._vehicle: tuple[int, int] | None = None
+        self._vehicle_address: tuple[str, int] | None = None
+        self._time_s = -math.inf
+        self._walking_s = 0.0
+        self._is_armed = self._was_armed = False
+        self._attitude: Any = None
+        self._position: Any = None
+        self._home_ned_m: Vector3 | None = None
+        self._origin: GeoPoint | None = None
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether pose, home and origin are known."""
+        known = (self._attitude, self._position, self._home_ned_m, self._origin)
+        return all(value is not None for value in known)
+
+    async def __aenter__(self) -> Self:
+        self._transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            lambda: self, local_addr=self._address
+        )
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._transport.close()
+
+    async def run(self, camera: CameraServer) -> None:
+        """Keep the vehicle streaming and ask for what is missing, until cancelled.
+
+        The camera is silent while there is nothing to show.
+        """
+        while True:
+            camera.silent = not self.is_ready
+            if self._vehicle_address is not None:
+                self._send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+            if self._vehicle is not None and not self.is_ready:
+                self._ask()
+            await asyncio.sleep(_HEARTBEAT_INTERVAL_S)
+
+    def scene(self) -> Scene:
+        """What the vehicle's camera looks at; only once `is_ready`."""
+        assert self._home_ned_m is not None
+        assert self._origin is not None
+        frame = self._world.frame(self._home_ned_m, self._origin)
+        return self._world.scene(self._pose(), self._walking_s, frame)
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """Take what the vehicle sends (asyncio's callback)."""
+        for message in self._mav.parse_buffer(data) or ():
+            self._hear(message, addr)
+
+    def error_received(self, exc: Exception) -> None:
+        """The vehicle is away (asyncio's callback); it may come back."""
+
+    def _hear(self, message: Any, address: tuple[str, int]) -> None:
+        kind = message.get_type()
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if kind == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+            if self._vehicle is None:
+                self._vehicle = sender
+            if sender == self._vehicle:
+                self._is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                self._was_armed = self._was_armed or self._is_armed
+        if sender != self._vehicle:
+            return
+        self._vehicle_address = address
+        if kind in ("ATTITUDE", "LOCAL_POSITION_NED"):
+            self._take_pose(message)
+        elif kind == "HOME_POSITION" and (self._home_ned_m is None or not self._is_armed):
+            self._home_ned_m = (message.x, message.y, message.z)
+        elif kind == "GPS_GLOBAL_ORIGIN":
+            self._origin = GeoPoint(
+                latitude_deg=message.latitude / 1e7,
+                longitude_deg=message.longitude / 1e7,
+                altitude_m=message.altitude / 1000.0,
+            )
+
+    def _take_pose(self, message: Any) -> None:
+        """Keep the newest half of a pose, and move the world's clock; a reboot sets it back."""
+        time_s = message.time_boot_ms / 1000.0
+        if self._was_armed and time_s > self._time_s:
+            self._walking_s += time_s - self._time_s
+        has_rebooted = time_s < self._time_s - 1.0
+        if has_rebooted:
+            self._attitude = self._position = None
+        self._time_s = time_s if has_rebooted else max(self._time_s, time_s)
+        if message.get_type() == "ATTITUDE":
+            self._attitude = message
+        else:
+            self._position = message
+
+    def _pose(self) -> Pose:
+        """The pose at the newest instant heard of."""
+        p, a, now_s = self._position, self._attitude, self._time_s
+        late_s = now_s - p.time_boot_ms / 1000.0
+        turning_s = now_s - a.time_boot_ms / 1000.0
+        return Pose(
+            time_s=now_s,
+            position_ned_m=(p.x + p.vx * late_s, p.y + p.vy * late_s, p.z + p.vz * late_s),
+            velocity_ned_m_s=(p.vx, p.vy, p.vz),
+            attitude_rad=(
+                a.roll + a.rollspeed * turning_s,
+                a.pitch + a.pitchspeed * turning_s,
+                a.yaw + a.yawspeed * turning_s,
+            ),
+        )
+
+    def _ask(self) -> None:
+        """Ask for home, origin and a pose at useful rates."""
+        assert self._vehicle is not None
+        commands = [
+            (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0),
+            (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, 0.0),
+        ]
+        for number, rate_hz in _WANTED_HZ.items():
+            commands.append((mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz))
+        for command, first, second in commands:
+            self._send(
+                mavlink.MAVLink_command_long_message(
+                    *self._vehicle, command, 0, first, second, 0.0, 0.0, 0.0, 0.0, 0.0
+                )
+            )
+
+    def _send(self, message: Any) -> None:
+        packet = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        self._transport.sendto(packet, self._vehicle_address)

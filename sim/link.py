@@ -1,0 +1,279 @@
+"""The autopilot's MAVLink links: streams out, commands in, over UDP on loopback.
+
+Each link is like one of PX4's: it streams to a fixed address from the start, at its own rates, and
+everyone who writes to it may command.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from typing import Any, cast
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sim.autopilot import BOOT_S, STEP_S, Autopilot
+from sim.commands import (
+    ACCEPTED,
+    DENIED,
+    REJECTED,
+    UNSUPPORTED,
+    Command,
+    execute,
+    setpoint_from_global,
+    setpoint_from_local,
+)
+from sim.parameters import TABLE
+from sim.plans import PlanService
+from sim.streams import STREAMS, Builder
+
+_DATAGRAM_BYTES = 1200
+_GCS_TIMEOUT_S = 3.0
+_FTP_NAK = 129
+_FTP_UNKNOWN_COMMAND = 7
+
+
+class LinkFaults:
+    """What goes wrong on all links: nothing sent, nothing heard, every command refused."""
+
+    def __init__(self) -> None:
+        self.is_silent = False
+        self.is_deaf = False
+        self.is_refusing = False
+
+
+class _Stream:
+    """One message of one link: its builder and when it is due."""
+
+    __slots__ = ("build", "due_s", "interval_s")
+
+    def __init__(self, build: Builder, rate_hz: float) -> None:
+        self.build = build
+        self.interval_s = 1.0 / rate_hz if rate_hz > 0.0 else 0.0
+        self.due_s = BOOT_S
+
+    def set_interval(self, interval_s: float, now_s: float) -> None:
+        self.interval_s = interval_s
+        self.due_s = now_s
+
+
+class MavlinkLink(asyncio.DatagramProtocol):
+    """One UDP link to `remote`; made by `open_link`."""
+
+    def __init__(self, autopilot: Autopilot, remote: tuple[str, int], faults: LinkFaults) -> None:
+        self._autopilot = autopilot
+        self._remote = remote
+        self._faults = faults
+        self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._mav.robust_parsing = True
+        self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
+        self._active = self._in_use()
+        self._plans = PlanService(autopilot.plans)
+        self._boots = autopilot.num_boots
+        self._pending: deque[Any] = deque()
+        self._parameters_left = iter(range(0))
+        self._gcs_heard_s = -_GCS_TIMEOUT_S
+        self._buffer = bytearray()
+        self._transport: asyncio.DatagramTransport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keep the socket (asyncio's callback)."""
+        self._transport = cast("asyncio.DatagramTransport", transport)
+
+    def error_received(self, exc: Exception) -> None:
+        """Nobody listens there yet (asyncio's callback): a radio would not know."""
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """Handle what was sent to the vehicle (asyncio's callback)."""
+        if self._faults.is_deaf or self._autopilot.time_s < BOOT_S:
+            return
+        for message in self._mav.parse_buffer(data) or ():
+            self._receive(message)
+        self.flush()
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._transport is not None:
+            self._transport.close()
+
+    def stream(self, texts: list[tuple[int, str]]) -> None:
+        """Send what is due at this step, and texts to a ground station."""
+        now_s = self._autopilot.time_s
+        if self._boots != self._autopilot.num_boots:
+            self._restart()
+        if now_s < BOOT_S:
+            return
+        while self._pending:
+            self._send(self._pending.popleft())
+        for stream in self._active:
+            if now_s >= stream.due_s:
+                stream.due_s = max(stream.due_s + stream.interval_s, now_s - STEP_S)
+                self._send(stream.build(self._autopilot))
+        index = next(self._parameters_left, None)
+        if index is not None:
+            self._send(self._parameter(index))
+        if texts and time.monotonic() - self._gcs_heard_s < _GCS_TIMEOUT_S:
+            for severity, text in texts:
+                self._send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
+
+    def flush(self) -> None:
+        """Hand what was sent to the network."""
+        if self._buffer and self._transport is not None and not self._faults.is_silent:
+            self._transport.sendto(bytes(self._buffer), self._remote)
+        self._buffer.clear()
+
+    def _restart(self) -> None:
+        """Forget rates and transfers, as a reboot does."""
+        self._boots = self._autopilot.num_boots
+        self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
+        self._active = self._in_use()
+        self._plans = PlanService(self._autopilot.plans)
+        self._pending.clear()
+        self._parameters_left = iter(range(0))
+
+    def _in_use(self) -> list[_Stream]:
+        return [stream for stream in self._streams.values() if stream.interval_s > 0.0]
+
+    def _send(self, message: Any) -> None:
+        if message is None:
+            return
+        packet = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        if len(self._buffer) + len(packet) > _DATAGRAM_BYTES:
+            self.flush()
+        self._buffer += packet
+
+    def _receive(self, message: Any) -> None:
+        if getattr(message, "target_system", 0) not in (0, 1):
+            return
+        if getattr(message, "target_component", 0) not in (0, 1):
+            return
+        kind = message.get_type()
+        if kind in ("COMMAND_LONG", "COMMAND_INT"):
+            self._obey(message)
+        elif kind.startswith("SET_POSITION_TARGET"):
+            self._take_setpoint(message)
+        elif kind.startswith("PARAM_"):
+            self._serve_parameters(message)
+        elif kind.startswith("MISSION_"):
+            for reply in self._plans.answer(message):
+                self._send(reply)
+        else:
+            self._serve_link(message)
+
+    def _serve_link(self, message: Any) -> None:
+        """Answer what keeps a link alive, and refuse file transfer."""
+        kind, now_us = message.get_type(), round(self._autopilot.time_s * 1e6)
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if kind == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_GCS:
+            self._gcs_heard_s = time.monotonic()
+        elif kind == "PING" and message.target_system == 0:
+            self._send(mavlink.MAVLink_ping_message(message.time_usec, message.seq, *sender))
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self._send(mavlink.MAVLink_timesync_message(now_us * 1000, message.ts1))
+        elif kind == "FILE_TRANSFER_PROTOCOL":
+            asked = bytes(message.payload)
+            sequence = (int.from_bytes(asked[:2], "little") + 1) % 65536
+            head = [*sequence.to_bytes(2, "little"), asked[2], _FTP_NAK, 1, asked[3], 0, 0]
+            payload = [*head, *asked[8:12], _FTP_UNKNOWN_COMMAND, *([0] * 238)]
+            self._send(mavlink.MAVLink_file_transfer_protocol_message(0, *sender, payload))
+
+    def _take_setpoint(self, message: Any) -> None:
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+            setpoint = setpoint_from_local(message, self._autopilot.estimate.yaw)
+        else:
+            setpoint = setpoint_from_global(message, self._autopilot)
+        if setpoint is not None:
+            self._autopilot.take_offboard(setpoint)
+
+    def _obey(self, message: Any) -> None:
+        """Execute a command and acknowledge it; a mode change is acknowledged twice, as by PX4."""
+        command = Command.from_message(message)
+        if self._faults.is_refusing:
+            result = REJECTED
+        else:
+            result = self._serve_messages(command)
+            if result == UNSUPPORTED:
+                result = execute(self._autopilot, command)
+        ack = _ack(message, result)
+        if command.number == mavlink.MAV_CMD_DO_SET_MODE:
+            self._send(_ack(message, ACCEPTED))
+            self._pending.append(ack)
+        else:
+            self._send(ack)
+
+    def _serve_messages(self, command: Command) -> int:
+        """Requests for messages and their rates, which concern this link alone. -> MAV_RESULT."""
+        if command.number == mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+            return self._send_once(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        if command.number == mavlink.MAV_CMD_GET_HOME_POSITION:
+            return self._send_once(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+        if command.number == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            return self._send_once(int(command.params[0]))
+        stream = self._streams.get(int(command.params[0])) if command.params[0] >= 0 else None
+        if command.number == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+            number, interval_s = int(command.params[0]), stream.interval_s if stream else 0.0
+            interval_us = round(interval_s * 1e6) if interval_s > 0.0 else -1
+            self._send(mavlink.MAVLink_message_interval_message(number, interval_us))
+            return ACCEPTED
+        if command.number == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            return DENIED if stream is None else self._set_interval(stream, command.params[1])
+        return UNSUPPORTED
+
+    def _send_once(self, number: int) -> int:
+        stream = self._streams.get(number)
+        message = None if stream is None else stream.build(self._autopilot)
+        if message is None:
+            return DENIED
+        # After the acknowledgement, in the order in which PX4 sends them.
+        self._pending.append(message)
+        return ACCEPTED
+
+    def _set_interval(self, stream: _Stream, interval_us: float) -> int:
+        """Change a rate; 0 asks for the default, -1 turns the stream off."""
+        if interval_us == 0.0:
+            rate_hz = next(r for build, r in STREAMS.values() if build is stream.build)
+            interval_us = 1e6 / rate_hz if rate_hz > 0.0 else -1.0
+        interval_s = max(interval_us / 1e6, STEP_S) if interval_us > 0.0 else 0.0
+        stream.set_interval(interval_s, self._autopilot.time_s)
+        self._active = self._in_use()
+        return ACCEPTED
+
+    def _serve_parameters(self, message: Any) -> None:
+        parameters = self._autopilot.parameters
+        kind = message.get_type()
+        if kind == "PARAM_REQUEST_LIST":
+            self._parameters_left = iter(range(len(TABLE)))
+            return
+        if kind == "PARAM_REQUEST_READ" and message.param_index >= 0:
+            index = message.param_index if message.param_index < len(TABLE) else None
+        elif kind in ("PARAM_REQUEST_READ", "PARAM_SET"):
+            index = parameters.index(message.param_id)
+        else:
+            return
+        if index is None:
+            self._autopilot.say(mavlink.MAV_SEVERITY_ERROR, f"unknown param: {message.param_id}")
+            return
+        if kind == "PARAM_SET":
+            parameters.from_wire(message.param_id, message.param_value, message.param_type)
+        self._send(self._parameter(index))
+
+    def _parameter(self, index: int) -> Any:
+        name, value, kind = self._autopilot.parameters.on_wire(index)
+        return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(TABLE), index)
+
+
+async def open_link(
+    autopilot: Autopilot, remote: tuple[str, int], faults: LinkFaults
+) -> MavlinkLink:
+    """A link that streams to `remote` from a free port."""
+    _, link = await asyncio.get_running_loop().create_datagram_endpoint(
+        lambda: MavlinkLink(autopilot, remote, faults), local_addr=("127.0.0.1", 0)
+    )
+    return link
+
+
+def _ack(message: Any, result: int) -> Any:
+    sender = message.get_srcSystem(), message.get_srcComponent()
+    return mavlink.MAVLink_command_ack_message(message.command, result, 255, 0, *sender)

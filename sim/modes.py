@@ -1,0 +1,40 @@
+"""PX4's flight modes, as HEARTBEAT's `custom_mode` and DO_SET_MODE's parameters name them."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Mode(IntEnum):
+    """Flight modes of the simulated autopilot; a value is main mode << 16 | sub mode << 24."""
+
+    ALTCTL = 2 << 16
+    POSCTL = 3 << 16
+    OFFBOARD = 6 << 16
+    TAKEOFF = 4 << 16 | 2 << 24
+    LOITER = 4 << 16 | 3 << 24
+    RTL = 4 << 16 | 5 << 24
+    LAND = 4 << 16 | 6 << 24
+
+    @property
+    def is_auto(self) -> bool:
+        """Whether the autopilot itself decides where to go."""
+        return (self >> 16) & 0xFF == 4
+
+    @property
+    def is_manual(self) -> bool:
+        """Whether a pilot's sticks decide."""
+        return self in (Mode.ALTCTL, Mode.POSCTL)
+
+    @property
+    def prevents_arming(self) -> bool:
+        """Whether PX4 refuses to arm in it."""
+        return self in (Mode.RTL, Mode.LAND)
+
+
+def mode_from_parts(main: int, sub: int) -> Mode | None:
+    """Mode of DO_SET_MODE's second and third parameter; None if the autopilot does not have it."""
+    try:
+        return Mode(main << 16 | sub << 24)
+    except ValueError:
+        return None

@@ -1,0 +1,152 @@
+"""Missions, fences and rally points as ground stations upload and read them back.
+
+They are stored, not flown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+MAX_ITEMS = 2000
+_TYPES = (
+    mavlink.MAV_MISSION_TYPE_MISSION,
+    mavlink.MAV_MISSION_TYPE_FENCE,
+    mavlink.MAV_MISSION_TYPE_RALLY,
+)
+
+
+class Plans:
+    """What is stored: the items of each mission type, and the mission's current item."""
+
+    def __init__(self) -> None:
+        self.items: dict[int, list[Any]] = {kind: [] for kind in _TYPES}
+        self.current = 0
+
+
+@dataclass(slots=True, kw_only=True)
+class _Upload:
+    """An upload under way."""
+
+    mission_type: int
+    count: int
+    items: list[Any]
+
+
+class PlanService:
+    """One link's side of the mission protocol; `answer` gives the replies to a message."""
+
+    def __init__(self, plans: Plans) -> None:
+        self._plans = plans
+        self._upload: _Upload | None = None
+
+    def answer(self, message: Any) -> list[Any]:
+        """Replies to one message; none if it is not of this protocol."""
+        handlers = {
+            "MISSION_COUNT": self._begin_upload,
+            "MISSION_ITEM_INT": self._take_item,
+            "MISSION_REQUEST_LIST": self._send_count,
+            "MISSION_REQUEST_INT": self._send_item,
+            "MISSION_REQUEST": self._send_item,
+            "MISSION_CLEAR_ALL": self._clear,
+            "MISSION_SET_CURRENT": self._set_current,
+        }
+        handler = handlers.get(message.get_type())
+        return [] if handler is None else handler(message)
+
+    def _begin_upload(self, message: Any) -> list[Any]:
+        if message.mission_type not in self._plans.items:
+            return [_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
+        if message.count > MAX_ITEMS:
+            return [_ack(message, mavlink.MAV_MISSION_NO_SPACE)]
+        if message.count == 0:
+            return self._store(message, [])
+        self._upload = _Upload(mission_type=message.mission_type, count=message.count, items=[])
+        return [_request(message, 0)]
+
+    def _take_item(self, message: Any) -> list[Any]:
+        """Take the next item; a repeated one is answered with the request for the next again."""
+        upload = self._upload
+        if upload is None:
+            stored = self._plans.items.get(message.mission_type, [])
+            is_repeat = message.seq == len(stored) - 1
+            result = mavlink.MAV_MISSION_ACCEPTED if is_repeat else mavlink.MAV_MISSION_ERROR
+            return [_ack(message, result)]
+        if message.mission_type != upload.mission_type:
+            return [_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
+        if message.seq == len(upload.items):
+            upload.items.append(message)
+        if len(upload.items) < upload.count:
+            return [_request(message, len(upload.items))]
+        return self._store(message, upload.items)
+
+    def _store(self, message: Any, items: list[Any]) -> list[Any]:
+        self._upload = None
+        self._plans.items[message.mission_type] = items
+        if message.mission_type == mavlink.MAV_MISSION_TYPE_MISSION:
+            self._plans.current = 0
+        return [_ack(message, mavlink.MAV_MISSION_ACCEPTED)]
+
+    def _send_count(self, message: Any) -> list[Any]:
+        if message.mission_type not in self._plans.items:
+            return [_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
+        count = len(self._plans.items[message.mission_type])
+        return [mavlink.MAVLink_mission_count_message(*_to(message), count, message.mission_type)]
+
+    def _send_item(self, message: Any) -> list[Any]:
+        items = self._plans.items.get(message.mission_type, [])
+        if message.seq >= len(items):
+            return [_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
+        i = items[message.seq]
+        return [
+            mavlink.MAVLink_mission_item_int_message(
+                *_to(message),
+                i.seq,
+                i.frame,
+                i.command,
+                int(i.seq == self._plans.current),
+                i.autocontinue,
+                i.param1,
+                i.param2,
+                i.param3,
+                i.param4,
+                i.x,
+                i.y,
+                i.z,
+                i.mission_type,
+            )
+        ]
+
+    def _clear(self, message: Any) -> list[Any]:
+        self._upload = None
+        if message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
+            for items in self._plans.items.values():
+                items.clear()
+        elif message.mission_type in self._plans.items:
+            self._plans.items[message.mission_type] = []
+        else:
+            return [_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
+        return [_ack(message, mavlink.MAV_MISSION_ACCEPTED)]
+
+    def _set_current(self, message: Any) -> list[Any]:
+        count = len(self._plans.items[mavlink.MAV_MISSION_TYPE_MISSION])
+        if message.seq < count:
+            self._plans.current = message.seq
+        return [mavlink.MAVLink_mission_current_message(self._plans.current, count)]
+
+
+def _to(message: Any) -> tuple[int, int]:
+    """Where the reply goes."""
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
+def _ack(message: Any, result: int) -> Any:
+    return mavlink.MAVLink_mission_ack_message(*_to(message), result, message.mission_type)
+
+
+def _request(message: Any, sequence: int) -> Any:
+    return mavlink.MAVLink_mission_request_int_message(
+        *_to(message), sequence, message.mission_type
+    )

@@ -1,0 +1,133 @@
+"""The mock flight: one clock that moves vehicle, world, links and faults together."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+import time
+
+import numpy as np
+
+from dronemon.frames import AreaFrame, GeoPoint, ned_to_geo
+from dronemon.mission import Mission
+from dronemon.types import Vector3
+from dronemon.world.instance import named_stream
+from sim.autopilot import STEP_S, Autopilot
+from sim.camera import CameraServer
+from sim.dynamics import Wind
+from sim.faults import Fault, FaultSchedule
+from sim.link import LinkFaults, MavlinkLink, open_link
+from sim.scene import Scene
+from sim.world import World, home_place
+
+HOME_NED_M: Vector3 = (-23.0, 31.0, -3.2)
+"""Home in the local frame: the estimator's origin is elsewhere, so that confusing them shows."""
+_PAUSE_S = 0.004
+_BURST_MAX_S = 0.2
+"""Vehicle time simulated at once; a computer that stalls longer slows the simulation down."""
+
+
+def _stream(mission: Mission, name: str) -> random.Random:
+    """A fast generator of its own for one purpose."""
+    return random.Random(int(named_stream(mission.simulation.seed, name).integers(2**63)))
+
+
+class Simulation:
+    """A mission's mock vehicle in its world."""
+
+    def __init__(self, mission: Mission, world: World, faults: tuple[Fault, ...] = ()) -> None:
+        simulation = mission.simulation
+        away_m = -np.asarray(HOME_NED_M, dtype=np.float64)
+        origin: GeoPoint = ned_to_geo(away_m, home_place(mission))
+        wind_rng = _stream(mission, "wind")
+        wind_from_rad = math.radians(simulation.wind_from_deg)
+        self.autopilot = Autopilot(
+            origin=origin,
+            start_ned_m=HOME_NED_M,
+            make_wind=lambda: Wind(simulation.wind_m_s, wind_from_rad, wind_rng),
+            endurance_s=mission.flight.endurance_min * 60.0,
+            rng=_stream(mission, "estimate"),
+        )
+        self._world = world
+        self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
+        self._link_faults = LinkFaults()
+        self._links: list[MavlinkLink] = []
+        self._time_s = 0.0
+        self._armed_at_s: float | None = None
+        self.camera: CameraServer | None = None
+        self._faults = self._schedule(faults)
+
+    def scene(self) -> Scene:
+        """What there is to see at this instant."""
+        pose = self.autopilot.body.pose(self.autopilot.time_s)
+        return self._world.scene(pose, self._since_arming_s, self._frame)
+
+    async def open_links(self, remotes: list[tuple[str, int]]) -> None:
+        """Stream to these addresses from now on."""
+        for remote in remotes:
+            self._links.append(await open_link(self.autopilot, remote, self._link_faults))
+
+    def close_links(self) -> None:
+        """Close all sockets."""
+        for link in self._links:
+            link.close()
+
+    def step(self) -> None:
+        """One step of everything."""
+        self._time_s += STEP_S
+        autopilot = self.autopilot
+        autopilot.step()
+        if self._armed_at_s is None and autopilot.commander.is_armed:
+            self._armed_at_s = self._time_s
+        if self._armed_at_s is not None:
+            self._faults.advance(self._since_arming_s)
+        texts = list(autopilot.texts)
+        autopilot.texts.clear()
+        for link in self._links:
+            link.stream(texts)
+
+    async def run(self, speed_up: float) -> None:
+        """Keep vehicle time at wall time x `speed_up`, until cancelled."""
+        begin_s, begun_at_s = time.monotonic(), self._time_s
+        while True:
+            due_s = begun_at_s + (time.monotonic() - begin_s) * speed_up
+            if due_s - self._time_s > _BURST_MAX_S:
+                begun_at_s -= due_s - self._time_s - _BURST_MAX_S
+                due_s = self._time_s + _BURST_MAX_S
+            while self._time_s + STEP_S <= due_s:
+                self.step()
+            for link in self._links:
+                link.flush()
+            await asyncio.sleep(_PAUSE_S)
+
+    @property
+    def _since_arming_s(self) -> float:
+        """Time since the vehicle was first armed; 0 before."""
+        return 0.0 if self._armed_at_s is None else self._time_s - self._armed_at_s
+
+    def _schedule(self, faults: tuple[Fault, ...]) -> FaultSchedule:
+        autopilot, link = self.autopilot, self._link_faults
+
+        def silence_camera(is_on: bool) -> None:
+            if self.camera is not None:
+                self.camera.silent = is_on
+
+        def set_battery(level: float | None) -> None:
+            autopilot.battery_level = level or 0.0
+
+        return FaultSchedule(
+            faults,
+            switches={
+                "silence": lambda is_on: setattr(link, "is_silent", is_on),
+                "deaf": lambda is_on: setattr(link, "is_deaf", is_on),
+                "reject": lambda is_on: setattr(link, "is_refusing", is_on),
+                "gps": lambda is_on: setattr(autopilot, "has_gps", not is_on),
+                "camera": silence_camera,
+            },
+            events={
+                "pilot": lambda _: autopilot.commander.take_over(),
+                "battery": set_battery,
+                "reboot": lambda _: autopilot.reboot(),
+            },
+        )

@@ -1,0 +1,346 @@
+"""The messages that the autopilot streams or sends on request, and their rates.
+
+A builder returns None while it has nothing to say, such as a position before the estimator is
+initialised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sim.autopilot import Autopilot
+from sim.commander import GPS_LOSS_TOLERATED_S, Charge
+from sim.dynamics import GRAVITY_M_S2
+from sim.modes import Mode
+
+Builder = Callable[[Autopilot], Any]
+_EPOCH_US = 1_760_000_000_000_000
+"""What the simulated GPS calls the time of boot."""
+_UNKNOWN_16 = 65535
+_SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+    | mavlink.MAV_SYS_STATUS_AHRS
+)
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+)
+_SOFTWARE_VERSION = 1 << 24 | 17 << 16 | 255
+_CELL_EMPTY_V, _CELL_FULL_V = 3.5, 4.05
+_HOVER_CURRENT_A = 15.0
+
+
+def time_boot_ms(autopilot: Autopilot) -> int:
+    """Vehicle time as MAVLink stamps it."""
+    return round(autopilot.time_s * 1000.0)
+
+
+def _time_us(autopilot: Autopilot) -> int:
+    return round(autopilot.time_s * 1e6)
+
+
+def _heartbeat(autopilot: Autopilot) -> Any:
+    commander = autopilot.commander
+    base_mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+    if commander.mode.is_manual:
+        base_mode |= mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+    else:
+        base_mode |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+    status = mavlink.MAV_STATE_STANDBY
+    if commander.is_armed:
+        base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        status = mavlink.MAV_STATE_ACTIVE
+        if commander.is_in_failsafe:
+            status = mavlink.MAV_STATE_CRITICAL
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base_mode, commander.mode, status, 3
+    )
+
+
+def _sys_status(autopilot: Autopilot) -> Any:
+    prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    health = _SENSORS if autopilot.has_gps else _SENSORS & ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    if autopilot.is_ready and autopilot.commander.charge < Charge.CRITICAL:
+        health |= prearm
+    present = _SENSORS | prearm
+    return mavlink.MAVLink_sys_status_message(
+        present,
+        present,
+        health,
+        300,
+        round(_voltage_v(autopilot) * 1000.0),
+        round(_current_a(autopilot) * 100.0),
+        round(autopilot.battery_level * 100.0),
+        *(0,) * 6,
+    )
+
+
+def _voltage_v(autopilot: Autopilot) -> float:
+    cell = _CELL_EMPTY_V + (_CELL_FULL_V - _CELL_EMPTY_V) * autopilot.battery_level
+    return cell * autopilot.parameters["BAT1_N_CELLS"]
+
+
+def _current_a(autopilot: Autopilot) -> float:
+    return _HOVER_CURRENT_A * autopilot.body.thrust_m_s2 / GRAVITY_M_S2
+
+
+def _extended_sys_state(autopilot: Autopilot) -> Any:
+    mode = autopilot.commander.mode
+    state = mavlink.MAV_LANDED_STATE_IN_AIR
+    if autopilot.is_landed:
+        state = mavlink.MAV_LANDED_STATE_ON_GROUND
+    elif mode is Mode.TAKEOFF:
+        state = mavlink.MAV_LANDED_STATE_TAKEOFF
+    elif mode is Mode.LAND or (mode is Mode.RTL and autopilot.navigator.is_landing):
+        state = mavlink.MAV_LANDED_STATE_LANDING
+    return mavlink.MAVLink_extended_sys_state_message(0, state)
+
+
+def _local_position_ned(autopilot: Autopilot) -> Any:
+    if not autopilot.has_position:
+        return None
+    estimate = autopilot.estimate
+    return mavlink.MAVLink_local_position_ned_message(
+        time_boot_ms(autopilot), *estimate.position, *estimate.velocity
+    )
+
+
+def _attitude(autopilot: Autopilot) -> Any:
+    estimate, body = autopilot.estimate, autopilot.body
+    return mavlink.MAVLink_attitude_message(
+        time_boot_ms(autopilot),
+        estimate.roll,
+        estimate.pitch,
+        estimate.yaw,
+        body.roll_rate,
+        body.pitch_rate,
+        body.yaw_rate,
+    )
+
+
+def _attitude_quaternion(autopilot: Autopilot) -> Any:
+    estimate, body = autopilot.estimate, autopilot.body
+    return mavlink.MAVLink_attitude_quaternion_message(
+        time_boot_ms(autopilot),
+        *quaternion(estimate.roll, estimate.pitch, estimate.yaw),
+        body.roll_rate,
+        body.pitch_rate,
+        body.yaw_rate,
+    )
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Rotation of the body in the NED frame as w, x, y, z."""
+    sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)
+    sp, cp = math.sin(pitch / 2.0), math.cos(pitch / 2.0)
+    sy, cy = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def _heading_deg(autopilot: Autopilot) -> float:
+    return math.degrees(autopilot.estimate.yaw) % 360.0
+
+
+def _global_position_int(autopilot: Autopilot) -> Any:
+    if not autopilot.has_position:
+        return None
+    estimate = autopilot.estimate
+    latitude, longitude, altitude = autopilot.map.to_geo(estimate.position)
+    return mavlink.MAVLink_global_position_int_message(
+        time_boot_ms(autopilot),
+        round(latitude * 1e7),
+        round(longitude * 1e7),
+        round(altitude * 1000.0),
+        round(autopilot.navigator.height_m * 1000.0),
+        *(round(v * 100.0) for v in estimate.velocity),
+        round(_heading_deg(autopilot) * 100.0) % 36000,
+    )
+
+
+def _gps_raw_int(autopilot: Autopilot) -> Any:
+    latitude, longitude, altitude = autopilot.map.to_geo(autopilot.body.position)
+    v_north, v_east, _ = autopilot.body.velocity
+    course_deg = math.degrees(math.atan2(v_east, v_north)) % 360.0
+    has_fix = autopilot.has_gps
+    return mavlink.MAVLink_gps_raw_int_message(
+        _time_us(autopilot),
+        mavlink.GPS_FIX_TYPE_3D_FIX if has_fix else mavlink.GPS_FIX_TYPE_NO_FIX,
+        round(latitude * 1e7) if has_fix else 0,
+        round(longitude * 1e7) if has_fix else 0,
+        round(altitude * 1000.0) if has_fix else 0,
+        80 if has_fix else _UNKNOWN_16,
+        80 if has_fix else _UNKNOWN_16,
+        round(math.hypot(v_north, v_east) * 100.0),
+        round(course_deg * 100.0) % 36000,
+        14 if has_fix else 0,
+    )
+
+
+def _altitude(autopilot: Autopilot) -> Any:
+    if not autopilot.has_position:
+        return None
+    down = autopilot.estimate.position[2]
+    amsl = autopilot.origin.altitude_m - down
+    height = autopilot.navigator.height_m
+    return mavlink.MAVLink_altitude_message(
+        _time_us(autopilot), amsl, amsl, -down, height, math.nan, math.nan
+    )
+
+
+def _vfr_hud(autopilot: Autopilot) -> Any:
+    estimate = autopilot.estimate
+    speed = math.hypot(estimate.velocity[0], estimate.velocity[1])
+    throttle = round(50.0 * autopilot.body.thrust_m_s2 / GRAVITY_M_S2)
+    return mavlink.MAVLink_vfr_hud_message(
+        speed,
+        speed,
+        round(_heading_deg(autopilot)) % 360,
+        throttle,
+        autopilot.origin.altitude_m - estimate.position[2],
+        -estimate.velocity[2],
+    )
+
+
+def _position_target_local_ned(autopilot: Autopilot) -> Any:
+    if autopilot.is_landed:
+        return None
+    setpoint = autopilot.setpoint
+    return mavlink.MAVLink_position_target_local_ned_message(
+        time_boot_ms(autopilot),
+        mavlink.MAV_FRAME_LOCAL_NED,
+        0,
+        *setpoint.position,
+        *setpoint.velocity,
+        *setpoint.acceleration,
+        setpoint.yaw_rad,
+        setpoint.yaw_rate_rad_s,
+    )
+
+
+def _battery_status(autopilot: Autopilot) -> Any:
+    cells = int(autopilot.parameters["BAT1_N_CELLS"])
+    cell_mv = round(_voltage_v(autopilot) / cells * 1000.0)
+    left = autopilot.battery_level
+    state = mavlink.MAV_BATTERY_CHARGE_STATE_OK + autopilot.commander.charge
+    return mavlink.MAVLink_battery_status_message(
+        0,
+        mavlink.MAV_BATTERY_FUNCTION_ALL,
+        mavlink.MAV_BATTERY_TYPE_LIPO,
+        32767,
+        [cell_mv if i < cells else _UNKNOWN_16 for i in range(10)],
+        round(_current_a(autopilot) * 100.0),
+        -1,
+        -1,
+        round(left * 100.0),
+        round(left * autopilot.endurance_s),
+        state,
+    )
+
+
+def _home_position(autopilot: Autopilot) -> Any:
+    if not autopilot.has_home:
+        return None
+    latitude, longitude, altitude = autopilot.map.to_geo(autopilot.navigator.home)
+    return mavlink.MAVLink_home_position_message(
+        round(latitude * 1e7),
+        round(longitude * 1e7),
+        round(altitude * 1000.0),
+        *autopilot.navigator.home,
+        [1.0, 0.0, 0.0, 0.0],
+        0.0,
+        0.0,
+        0.0,
+        _time_us(autopilot),
+    )
+
+
+def _gps_global_origin(autopilot: Autopilot) -> Any:
+    if not autopilot.has_position:
+        return None
+    return mavlink.MAVLink_gps_global_origin_message(
+        round(autopilot.origin.latitude_deg * 1e7),
+        round(autopilot.origin.longitude_deg * 1e7),
+        round(autopilot.origin.altitude_m * 1000.0),
+        _time_us(autopilot),
+    )
+
+
+def _estimator_status(autopilot: Autopilot) -> Any:
+    flags = (
+        mavlink.ESTIMATOR_ATTITUDE
+        | mavlink.ESTIMATOR_VELOCITY_HORIZ
+        | mavlink.ESTIMATOR_VELOCITY_VERT
+        | mavlink.ESTIMATOR_POS_VERT_ABS
+    )
+    lost_s = autopilot.estimate.gps_lost_s
+    if not autopilot.has_position or lost_s >= GPS_LOSS_TOLERATED_S:
+        flags |= mavlink.ESTIMATOR_CONST_POS_MODE
+    else:
+        flags |= mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
+        if lost_s == 0.0:
+            flags |= mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+    return mavlink.MAVLink_estimator_status_message(
+        _time_us(autopilot), flags, 0.1, 0.1, 0.1, 0.1, 0.0, 0.0, 0.3 + lost_s, 0.4
+    )
+
+
+def _mission_current(autopilot: Autopilot) -> Any:
+    plans = autopilot.plans
+    return mavlink.MAVLink_mission_current_message(
+        plans.current, len(plans.items[mavlink.MAV_MISSION_TYPE_MISSION])
+    )
+
+
+def _system_time(autopilot: Autopilot) -> Any:
+    return mavlink.MAVLink_system_time_message(
+        _EPOCH_US + _time_us(autopilot), time_boot_ms(autopilot)
+    )
+
+
+def _autopilot_version(_autopilot: Autopilot) -> Any:
+    return mavlink.MAVLink_autopilot_version_message(
+        _CAPABILITIES, _SOFTWARE_VERSION, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1
+    )
+
+
+STREAMS: dict[int, tuple[Builder, float]] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: (_heartbeat, 1.0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: (_attitude, 50.0),
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (_local_position_ned, 30.0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (_attitude_quaternion, 25.0),
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (_global_position_int, 10.0),
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (_gps_raw_int, 8.0),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: (_sys_status, 5.0),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (_extended_sys_state, 5.0),
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 4.0),
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, 4.0),
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (_position_target_local_ned, 4.0),
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (_estimator_status, 1.0),
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: (_mission_current, 1.0),
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: (_system_time, 1.0),
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: (_battery_status, 0.5),
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (_gps_global_origin, 0.0),
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (_autopilot_version, 0.0),
+}
+"""Message id -> builder and Hz of vehicle time; 0 is on request only."""

@@ -1,0 +1,137 @@
+"""The simulated world of a mission: the area, and animals that walk in it.
+
+The animals rest until the drone arms, so that a slow start of the computer changes nothing; from
+then on each walks its path at constant speed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
+from dronemon.mission import Mission
+from dronemon.types import FloatArray, Pose, Vector3
+from dronemon.world import Instance
+from sim.scene import Animal, Scene
+
+DEFAULT_PLACE = GeoPoint(latitude_deg=47.397742, longitude_deg=8.545594, altitude_m=488.0)
+"""Home of a mission without coordinates."""
+
+
+class World:
+    """Where the targets of a mission are at any time since arming."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self._paths = Instance.draw(mission.simulation.seed, len(mission.targets)).paths
+
+    def walked_au(self, walking_s: float) -> float:
+        """Distance that every target has walked."""
+        simulation, area = self._mission.simulation, self._mission.area
+        speed_m_s = simulation.speed_ratio * self._mission.flight.cruise_speed_m_s
+        return speed_m_s * max(walking_s, 0.0) / area.side_m
+
+    def targets_au(self, walking_s: float) -> FloatArray:
+        """(N, 2) au positions of the targets."""
+        return self._paths.positions_au(self.walked_au(walking_s))
+
+    def frame(self, home_ned_m: Vector3, origin: GeoPoint) -> AreaFrame:
+        """The area, laid around home or the mission's coordinates."""
+        area = self._mission.area
+        north, east = home_ned_m[0], home_ned_m[1]
+        if area.latitude_deg is not None and area.longitude_deg is not None:
+            centre = GeoPoint(
+                latitude_deg=area.latitude_deg,
+                longitude_deg=area.longitude_deg,
+                altitude_m=origin.altitude_m,
+            )
+            north, east, _ = (float(v) for v in geo_to_ned(centre, origin))
+        return AreaFrame(
+            centre_ned_m=(north, east),
+            ground_down_m=home_ned_m[2],
+            side_m=area.side_m,
+            heading_rad=math.radians(area.heading_deg),
+            cruise_speed_m_s=self._mission.flight.cruise_speed_m_s,
+        )
+
+    def scene(self, pose: Pose, walking_s: float, frame: AreaFrame) -> Scene:
+        """What a camera at `pose` looks at."""
+        walked_au = self.walked_au(walking_s)
+        places = frame.au_to_ned(self._paths.positions_au(walked_au))
+        headings = self._paths.headings_rad(walked_au)
+        animals = tuple(
+            Animal(
+                name=target.name,
+                appearance=target.appearance,
+                position_ned_m=(float(place[0]), float(place[1])),
+                heading_rad=math.pi / 2.0 + frame.heading_rad - float(heading),
+                walked_m=walked_au * frame.side_m,
+            )
+            for target, place, heading in zip(self._mission.targets, places, headings, strict=True)
+        )
+        return Scene(
+            time_s=pose.time_s,
+            pose=pose,
+            ground_down_m=frame.ground_down_m,
+            frame=frame,
+            animals=animals,
+        )
+
+
+def home_place(mission: Mission) -> GeoPoint:
+    """Where the mock stands at first: the area's centre, if the mission says where that is."""
+    area = mission.area
+    if area.latitude_deg is None or area.longitude_deg is None:
+        return DEFAULT_PLACE
+    return GeoPoint(
+        latitude_deg=area.latitude_deg,
+        longitude_deg=area.longitude_deg,
+        altitude_m=DEFAULT_PLACE.altitude_m,
+    )
+
+
+class TruthFile:
+    """A line of JSON for each picture: where everything really was.
+
+    Without a path it writes nothing.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+
+    def __enter__(self) -> Self:
+        self._file = self.path.open("w", encoding="utf-8") if self.path is not None else None
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def write(self, scene: Scene) -> None:
+        """Append one scene."""
+        if self._file is None:
+            return
+        frame, pose = scene.frame, scene.pose
+        line = {
+            "time_s": scene.time_s,
+            "agent_au": frame.ned_to_au(np.array(pose.position_ned_m)).tolist(),
+            "targets_au": [
+                frame.ned_to_au(np.array(a.position_ned_m)).tolist() for a in scene.animals
+            ],
+            "position_ned_m": pose.position_ned_m,
+            "velocity_ned_m_s": pose.velocity_ned_m_s,
+            "attitude_rad": pose.attitude_rad,
+        }
+        self._file.write(json.dumps(line) + "\n")
+        self._file.flush()
