@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import math
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -17,6 +18,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
+import mavsdk
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, MavsdkConnectionError, MavsdkError
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkMessage
@@ -118,15 +120,16 @@ class MavsdkLink:
             await self._exit.aclose()
 
     async def _connect(self) -> None:
+        mavsdk.log_subscribe(_to_logging)
         configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
-        mavsdk = await self._exit.enter_async_context(Mavsdk(configuration))
+        connections = await self._exit.enter_async_context(Mavsdk(configuration))
         try:
-            await mavsdk.add_any_connection(self._url)
+            await connections.add_any_connection(self._url)
         except MavsdkConnectionError as exc:
             raise LinkTimeout(
                 f"cannot open {self._url}: {exc}; is the port free and the URL right?"
             ) from exc
-        system = await mavsdk.first_autopilot(timeout_s=self._connect_timeout_s)
+        system = await connections.first_autopilot(timeout_s=self._connect_timeout_s)
         if system is None:
             raise LinkTimeout(
                 f"no autopilot heard on {self._url} after {self._connect_timeout_s:g} s; "
@@ -483,6 +486,12 @@ class MavsdkLink:
     def release(self) -> None:
         """From now on any mode is welcome."""
         self._expected_modes = None
+
+
+def _to_logging(level: mavsdk.LogLevel, message: str, _file: str | None, _line: int) -> bool:
+    """Pass what MAVSDK says to Python's logging instead of standard output."""
+    logging.getLogger("mavsdk").log(10 * (int(level) + 1), "%s", message)
+    return True
 
 
 def _geo_point(fields: dict[str, Any]) -> GeoPoint:

@@ -1,0 +1,124 @@
+"""Every conversion goes there and back, and points the right way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dronemon.frames import (
+    AreaFrame,
+    GeoPoint,
+    body_to_ned,
+    geo_to_ned,
+    ground_to_pixel,
+    ned_to_geo,
+    pixel_to_ground,
+)
+from dronemon.types import CameraModel, Pose
+
+CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.radians(90))
+angles = st.floats(-math.pi, math.pi)
+tilts = st.floats(-0.3, 0.3)
+metres = st.floats(-500, 500)
+shares = st.floats(-0.5, 1.5)
+
+
+def _frame(heading_rad: float = 0.0, centre: tuple[float, float] = (0.0, 0.0)) -> AreaFrame:
+    return AreaFrame(
+        centre_ned_m=centre,
+        ground_down_m=-1.0,
+        side_m=200.0,
+        heading_rad=heading_rad,
+        cruise_speed_m_s=5.0,
+    )
+
+
+def _pose(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, height_m: float = 35.0) -> Pose:
+    return Pose(
+        time_s=0.0,
+        position_ned_m=(10.0, -20.0, -1.0 - height_m),
+        velocity_ned_m_s=(0.0, 0.0, 0.0),
+        attitude_rad=(roll, pitch, yaw),
+    )
+
+
+@given(shares, shares, angles, metres, metres)
+def test_au_to_ned_and_back(x: float, y: float, heading: float, north: float, east: float):
+    frame = _frame(heading, (north, east))
+    point = np.array([x, y])
+    np.testing.assert_allclose(frame.ned_to_au(frame.au_to_ned(point)), point, atol=1e-9)
+
+
+def test_area_lies_where_its_heading_says():
+    # Without heading x_au runs east, y_au north; turned by 90 degrees: y_au east, x_au south.
+    np.testing.assert_allclose(_frame().au_to_ned(np.array([1.0, 0.5])), [0.0, 100.0], atol=1e-9)
+    np.testing.assert_allclose(_frame().au_to_ned(np.array([0.5, 1.0])), [100.0, 0.0], atol=1e-9)
+    turned = _frame(math.pi / 2)
+    np.testing.assert_allclose(turned.au_to_ned(np.array([0.5, 1.0])), [0.0, 100.0], atol=1e-9)
+    np.testing.assert_allclose(turned.au_to_ned(np.array([1.0, 0.5])), [-100.0, 0.0], atol=1e-9)
+
+
+def test_time_unit_is_one_side_at_cruise_speed():
+    assert _frame().s_to_au(40.0) == pytest.approx(1.0)
+    assert _frame().au_to_s(30.0) == pytest.approx(1200.0)
+
+
+@given(metres, metres, st.floats(-100, 100), st.floats(-60, 60), st.floats(-180, 180))
+def test_geo_to_ned_and_back(north: float, east: float, down: float, lat: float, lon: float):
+    origin = GeoPoint(latitude_deg=lat, longitude_deg=lon, altitude_m=400.0)
+    there = ned_to_geo(np.array([north, east, down]), origin)
+    np.testing.assert_allclose(geo_to_ned(there, origin), [north, east, down], atol=1e-5)
+
+
+def test_north_is_more_latitude_and_up_is_less_down():
+    origin = GeoPoint(latitude_deg=47.0, longitude_deg=8.0, altitude_m=400.0)
+    north = GeoPoint(latitude_deg=47.001, longitude_deg=8.0, altitude_m=410.0)
+    ned = geo_to_ned(north, origin)
+    assert ned[0] == pytest.approx(111.2, abs=0.3)  # a thousandth of a degree
+    assert ned[2] == pytest.approx(-10.0, abs=0.01)
+
+
+@given(tilts, tilts, angles, st.floats(-15, 15), st.floats(-15, 15), st.floats(20, 60))
+def test_ground_to_pixel_and_back(
+    roll: float, pitch: float, yaw: float, north: float, east: float, height: float
+):
+    pose = _pose(roll, pitch, yaw, height)
+    ground = np.array([10.0 + north, -20.0 + east])
+    pixel = ground_to_pixel(ground, CAMERA, pose, -1.0)
+    np.testing.assert_allclose(pixel_to_ground(pixel, CAMERA, pose, -1.0), ground, atol=1e-6)
+
+
+def test_picture_axes_of_a_level_vehicle():
+    # Nose north: up in the picture is north, right is east; nose east: up is east, right is south.
+    above_right = np.array([400.0, 180.0])
+    north, east = pixel_to_ground(above_right, CAMERA, _pose(), -1.0) - [10.0, -20.0]
+    assert north > 0
+    assert east > 0
+    north, east = pixel_to_ground(above_right, CAMERA, _pose(yaw=math.pi / 2), -1.0) - [10.0, -20.0]
+    assert north < 0
+    assert east > 0
+
+
+def test_tilt_moves_the_picture_the_right_way():
+    centre = np.array([320.0, 240.0])
+    # Nose up: the camera looks ahead. Right wing down: it looks to the left.
+    nose_up = pixel_to_ground(centre, CAMERA, _pose(pitch=0.2), -1.0) - [10.0, -20.0]
+    np.testing.assert_allclose(nose_up, [35.0 * math.tan(0.2), 0.0], atol=1e-9)
+    wing_down = pixel_to_ground(centre, CAMERA, _pose(roll=0.2), -1.0) - [10.0, -20.0]
+    np.testing.assert_allclose(wing_down, [0.0, -35.0 * math.tan(0.2)], atol=1e-9)
+
+
+def test_rays_above_the_horizon_meet_no_ground():
+    sky = pixel_to_ground(np.array([320.0, 0.0]), CAMERA, _pose(pitch=1.2), -1.0)
+    assert np.isnan(sky).all()
+
+
+@given(angles, tilts, angles)
+def test_body_to_ned_is_a_rotation(roll: float, pitch: float, yaw: float):
+    rotation = body_to_ned((roll, pitch, yaw))
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)

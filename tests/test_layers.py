@@ -1,0 +1,116 @@
+"""Every import points to a lower layer, and foreign packages stay in their place."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+LAYERS = {
+    "errors": 0,
+    "types": 0,
+    "frames": 0,
+    "clock": 0,
+    "mission": 0,
+    "belief": 1,
+    "roadmap": 1,
+    "policy": 1,
+    "vision": 1,
+    "world": 1,
+    "guidance": 1,
+    "planner": 2,
+    "env": 2,
+    "vehicle": 3,
+    "camera": 3,
+    "viz": 3,
+    "recorder": 3,
+    "runner": 4,
+    "training": 4,
+    "evaluation": 4,
+    "cli": 5,
+    "simulator": 5,
+    "terminal": 5,
+}
+ORDER_IN_LAYER_0 = ("errors", "types", "frames", "clock", "mission")
+ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
+PLACES = {
+    "mavsdk": {"vehicle"},
+    "rerun": {"viz"},
+    "cv2": {"vision", "camera"},
+    "pymavlink": set(),
+    "matplotlib": {"evaluation"},
+}
+
+
+def _imports(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path}: relative import"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names} | {node.module}
+    return names
+
+
+def _packages(names: set[str], root: str) -> set[str]:
+    return {n.split(".")[1] for n in names if n.startswith(f"{root}.")}
+
+
+def _sources() -> list[tuple[str, Path]]:
+    package = ROOT / "dronemon"
+    files = [p for p in package.rglob("*.py") if p != package / "__init__.py"]
+    return [(p.relative_to(package).parts[0].removesuffix(".py"), p) for p in files]
+
+
+def _may_import(importer: str, imported: str) -> bool:
+    layer, other = LAYERS[importer], LAYERS[imported]
+    if importer == imported:
+        return True
+    if layer == 0:
+        return imported in ORDER_IN_LAYER_0[: ORDER_IN_LAYER_0.index(importer)]
+    if importer == "runner":
+        return other <= 3
+    if layer in ALLOWED:
+        return other in ALLOWED[layer]
+    return other < layer
+
+
+def test_every_package_has_a_layer():
+    assert {name for name, _ in _sources()} <= set(LAYERS)
+
+
+def test_imports_point_to_lower_layers():
+    wrong = [
+        f"{path.relative_to(ROOT)} imports dronemon.{imported}"
+        for importer, path in _sources()
+        for imported in _packages(_imports(path), "dronemon") & set(LAYERS)
+        if not _may_import(importer, imported)
+    ]
+    assert wrong == []
+
+
+def test_foreign_packages_stay_in_their_place():
+    wrong = [
+        f"{path.relative_to(ROOT)} imports {foreign}"
+        for importer, path in _sources()
+        for foreign, places in PLACES.items()
+        if {n.split(".")[0] for n in _imports(path)} & {foreign} and importer not in places
+    ]
+    assert wrong == []
+
+
+def test_application_and_simulator_meet_only_outside():
+    for _, path in _sources():
+        assert "sim" not in {n.split(".")[0] for n in _imports(path)}, path
+    for path in (ROOT / "sim").rglob("*.py"):
+        layers = {LAYERS[p] for p in _packages(_imports(path), "dronemon") & set(LAYERS)}
+        assert layers <= {0, 1}, path
+
+
+def test_a_wrong_arrow_is_found():
+    assert not _may_import("belief", "roadmap")
+    assert not _may_import("mission", "vehicle")
+    assert not _may_import("types", "frames")
+    assert not _may_import("training", "runner")
+    assert _may_import("planner", "belief")
