@@ -30,14 +30,15 @@ NUM_LEVELS = 4
 
 _Field = NDArray[np.floating]
 _Coat = Callable[[_Field, _Field], _Field]
-_OVERSAMPLING = 2
-_MARGIN_M = 0.15
+_MARGIN_M = 0.2
+_ANTLERS_M = 0.45
 _TRUNK_HEIGHT = 0.65
 """Height of the plane that the trunk is drawn in, over the height of the back."""
 
 # Colours are BGR, 0 to 1.
 _BLACK = (0.07, 0.07, 0.08)
 _WHITE = (0.93, 0.96, 0.97)
+_PALE = (0.62, 0.66, 0.68)
 _WOOL = (0.80, 0.90, 0.94)
 _TAN = (0.30, 0.50, 0.72)
 _CHESTNUT = (0.09, 0.17, 0.36)
@@ -93,6 +94,23 @@ def stride_m(appearance: str) -> float:
     return _FORMS[appearance].stride_m * DRAWN_SCALE
 
 
+def drawn_size_m(appearance: str) -> tuple[float, float, float]:
+    """Length from nose to tail, both legs' and ears' width, and height of the trunk, as drawn."""
+    form = _FORMS[appearance]
+    x, half_width = np.array(form.outline_m).T
+    centre = _centre_m(form)
+    length = 2.0 * max(x.max() - centre, centre - x.min() + form.tail_m[0])
+    width = 2.0 * max(half_width.max(), _ANTLERS_M if form.antlers else 0.0, form.legs_m[2] + 0.1)
+    height = _TRUNK_HEIGHT * form.back_height_m
+    return length * DRAWN_SCALE, width * DRAWN_SCALE, height * DRAWN_SCALE
+
+
+def _centre_m(form: Form) -> float:
+    """Centre of area of the outline along x."""
+    x, half_width = np.array(form.outline_m).T
+    return float(np.trapezoid(x * half_width, x) / np.trapezoid(half_width, x))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Canvas:
     """A grid of real metres around an animal's centre. x, y: (rows, columns) m."""
@@ -105,11 +123,11 @@ class _Canvas:
     def around(form: Form) -> _Canvas:
         """Large enough for the whole animal, its outline's centre of area in the middle."""
         x, half_width = np.array(form.outline_m).T
-        centre_m = np.trapezoid(x * half_width, x) / np.trapezoid(half_width, x)
+        centre_m = _centre_m(form)
         reach = max(x.max() - centre_m, centre_m - x.min() + form.tail_m[0]) + _MARGIN_M
-        breadth = max(half_width.max(), 0.45 if form.antlers else 0.0) + 0.25
-        px_per_m = SPRITE_PX_PER_M * DRAWN_SCALE * _OVERSAMPLING
-        multiple = _OVERSAMPLING * 2**NUM_LEVELS
+        breadth = max(half_width.max(), _ANTLERS_M if form.antlers else 0.0) + _MARGIN_M
+        px_per_m = SPRITE_PX_PER_M * DRAWN_SCALE
+        multiple = 2**NUM_LEVELS
         columns = math.ceil(reach * px_per_m / multiple) * multiple
         rows = math.ceil(breadth * px_per_m / multiple) * multiple
         axis_x = (np.arange(-columns, columns) + 0.5) / px_per_m + centre_m
@@ -154,8 +172,7 @@ class _Layer:
         rows, columns = self._bgra.shape[:2]
         images = []
         for level in range(NUM_LEVELS):
-            shrink = _OVERSAMPLING * 2**level
-            size = (columns // shrink, rows // shrink)
+            size = (columns >> level, rows >> level)
             small = cv2.resize(self._bgra, size, interpolation=cv2.INTER_AREA)
             images.append(np.rint(np.clip(small, 0.0, 1.0) * 255.0).astype(np.uint8))
         return tuple(images)
@@ -312,7 +329,7 @@ _FORMS: dict[str, Form] = {
         back_height_m=1.4,
         legs_m=(-0.65, 0.45, 0.28, 0.07),
         stride_m=1.3,
-        leg_colour=_WHITE,
+        leg_colour=_PALE,
         tail_m=(0.30, 0.03),
         tail_colours=(_WHITE, _BLACK),
         ears_m=(0.93, 0.20, 0.06),
@@ -465,7 +482,7 @@ _FORMS: dict[str, Form] = {
         back_height_m=1.35,
         legs_m=(-0.65, 0.38, 0.22, 0.055),
         stride_m=1.5,
-        leg_colour=_WHITE,
+        leg_colour=_PALE,
         tail_m=(0.38, 0.04),
         tail_colours=(_WHITE, _BLACK),
         ears_m=(0.98, 0.09, 0.05),

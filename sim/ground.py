@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from dronemon.types import ImageArray
@@ -38,7 +39,7 @@ def draw_ground(rng: np.random.Generator) -> ImageArray:
     height = _field(rng, slope=2.6)
     moisture = _field(rng, slope=2.2)
     tufts = _field(rng, slope=1.1)
-    grain = rng.standard_normal((TILE_PX, TILE_PX)).astype(np.float32)
+    grain = rng.standard_normal((TILE_PX, TILE_PX), np.float32)
 
     image = _blend(_plain(_MEADOW), _LUSH, _step(moisture, 0.2, 1.6))
     image = _blend(image, _DRY, _step(-moisture, 0.1, 1.7))
@@ -62,11 +63,12 @@ def pyramid(tile: ImageArray, num_levels: int) -> list[ImageArray]:
 
 def _field(rng: np.random.Generator, *, slope: float) -> _Field:
     """Periodic noise of zero mean and unit variance; larger slopes are smoother."""
-    white = rng.standard_normal((TILE_PX, TILE_PX)).astype(np.float32)
-    rows, columns = np.fft.fftfreq(TILE_PX) * TILE_PX, np.fft.rfftfreq(TILE_PX) * TILE_PX
-    frequency = np.hypot(rows[:, None], columns[None, :])
-    gain = (frequency + 3.0) ** -slope * (frequency > 0)
-    field = np.fft.irfft2(np.fft.rfft2(white) * gain, s=white.shape)
+    spectrum = scipy.fft.rfft2(rng.standard_normal((TILE_PX, TILE_PX), np.float32))
+    rows = (np.fft.fftfreq(TILE_PX) * TILE_PX).astype(np.float32)
+    columns = (np.fft.rfftfreq(TILE_PX) * TILE_PX).astype(np.float32)
+    spectrum *= (np.hypot(rows[:, None], columns[None, :]) + 3.0) ** -slope
+    spectrum[0, 0] = 0.0
+    field = scipy.fft.irfft2(spectrum)
     return np.asarray(field / field.std(), np.float32)
 
 

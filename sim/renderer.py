@@ -20,12 +20,14 @@ from sim.scene import Animal, Scene
 
 _SHADOW_PER_M = (0.45, 0.40)
 """Shadow of a pole one metre high, to the north and to the east."""
-_SHADOW_STRENGTH = 0.5
 _NOISE_STD = 2.5
 _BLUR_PX = 0.55
 _SKY = (226, 206, 178)
 _TAPE = (168, 196, 206)
 _MIN_HEIGHT_M = 0.2
+_ANIMAL_REACH_M = 8.0
+_NEAREST = 0.05
+"""What is nearer along the optical axis than this part of the height is not drawn."""
 
 
 class Renderer:
@@ -70,10 +72,12 @@ class Renderer:
         )
 
     def _draw_animal(self, image: ImageArray, view: _View, animal: Animal) -> None:
+        north_m, east_m = np.subtract(animal.position_ned_m, view.north_east_m)
+        if not view.is_near(north_m, east_m):
+            return
         phase = animal.walked_m / stride_m(animal.appearance) % 1.0
         sprite = self._sprites[animal.appearance][int(phase * NUM_PHASES) % NUM_PHASES]
         height_m = sprite.body_height_m
-        north_m, east_m = np.subtract(animal.position_ned_m, view.north_east_m)
         shadow_at = (
             north_m + _SHADOW_PER_M[0] * height_m,
             east_m + _SHADOW_PER_M[1] * height_m,
@@ -112,6 +116,7 @@ class _View:
         # The camera's x is the body's right, its y the body's back, its z the body's down.
         body_from_camera = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         self._camera_from_ned = (ned_from_body @ body_from_camera).T
+        self._size_px = np.array([camera.width_px, camera.height_px])
         self.north_east_m = pose.position_ned_m[:2]
         self.height_m = max(ground_down_m - pose.position_ned_m[2], _MIN_HEIGHT_M)
         self.px_per_m = focal_px / self.height_m
@@ -121,6 +126,15 @@ class _View:
         below = np.diag([1.0, 1.0, self.height_m - plane_height_m])
         homography: FloatArray = self._intrinsics @ self._camera_from_ned @ below
         return homography
+
+    def is_near(self, north_m: float, east_m: float) -> bool:
+        """Whether something of an animal's size there can show in the picture."""
+        point = self.homography(0.0) @ np.array([north_m, east_m, 1.0])
+        if point[2] < _NEAREST * self.height_m:
+            return False
+        margin_px = _ANIMAL_REACH_M * self.px_per_m * self.height_m / point[2]
+        pixel = point[:2] / point[2]
+        return bool(np.all((pixel > -margin_px) & (pixel < self._size_px + margin_px)))
 
     def down_per_pixel(self) -> FloatArray:
         """-> (3,) so that its product with (column, row, 1) is positive below the horizon."""
@@ -161,7 +175,7 @@ def _stamp(
     corners = np.array([[0, 0, 1], [columns, 0, 1], [columns, rows, 1], [0, rows, 1]]) - 0.5
     corners[:, 2] = 1.0
     projected = corners @ homography.T
-    if projected[:, 2].min() < 0.05 * view.height_m:
+    if projected[:, 2].min() < _NEAREST * view.height_m:
         return  # at or behind the horizon
     points = projected[:, :2] / projected[:, 2:]
     left, top = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
@@ -182,11 +196,17 @@ def _stamp(
         cv2.BORDER_CONSTANT,
     )
     part = image[top:bottom, left:right]
-    alpha = layer[..., 3:] * np.float32(1.0 / 255.0)
+    alpha = layer[..., 3]
     if is_shadow:
-        part[:] = part * (1.0 - _SHADOW_STRENGTH * alpha)
+        part[:] = cv2.multiply(part, _three(255 - alpha // 2), scale=1.0 / 255.0)
     else:
-        part[:] = part * (1.0 - alpha) + layer[..., :3]
+        shaded = cv2.multiply(part, _three(255 - alpha), scale=1.0 / 255.0)
+        part[:] = cv2.add(shaded, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR))
+
+
+def _three(channel: ImageArray) -> ImageArray:
+    """One channel repeated for blue, green and red."""
+    return np.asarray(cv2.cvtColor(channel, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def _ground_from_sprite(shape: tuple[int, ...], at: tuple[float, float, float]) -> FloatArray:
@@ -210,7 +230,7 @@ def _draw_tape(image: ImageArray, view: _View, frame: AreaFrame) -> None:
     corners[:, :2] -= view.north_east_m
     projected = corners @ view.homography(0.0).T
     thickness = max(1, round(0.12 * view.px_per_m))
-    nearest = 0.05 * view.height_m
+    nearest = _NEAREST * view.height_m
     for start, end in zip(projected, np.roll(projected, -1, axis=0), strict=True):
         if max(start[2], end[2]) <= nearest:
             continue

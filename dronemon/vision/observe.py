@@ -1,0 +1,40 @@
+"""What the binary sensor says about every target, given the animals found in one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dronemon.frames import AreaFrame, pixel_to_ground
+from dronemon.mission.schema import SENSOR_RADIUS_AU
+from dronemon.types import CameraModel, Detection, Measurement, Pose
+
+
+def observe(
+    detections: Sequence[Detection],
+    *,
+    pose: Pose,
+    camera: CameraModel,
+    frame: AreaFrame,
+    appearances: Sequence[str],
+    time_au: float,
+) -> Measurement:
+    """One observation of every target. appearances: of the targets, in their order.
+
+    A target is seen if it was found less than SENSOR_RADIUS_AU from the vehicle, over ground; what
+    the picture shows beyond does not count. Of two finds the one with the higher score holds.
+    Source: paper, equation 1.
+    """
+    agent_au = frame.ned_to_au(np.array(pose.position_ned_m))
+    seen = np.zeros(len(appearances), np.bool_)
+    target_au = np.full((len(appearances), 2), np.nan)
+    for detection in sorted(detections, key=lambda d: d.score):
+        pixel_px = np.array(detection.pixel_px)
+        ground_ned_m = pixel_to_ground(pixel_px, camera, pose, frame.ground_down_m)
+        at_au = frame.ned_to_au(ground_ned_m)
+        if np.linalg.norm(at_au - agent_au) < SENSOR_RADIUS_AU:
+            is_it = np.array([name == detection.appearance for name in appearances])
+            seen |= is_it
+            target_au[is_it] = at_au
+    return Measurement(time_au=time_au, agent_au=agent_au, seen=seen, target_au=target_au)

@@ -1,0 +1,52 @@
+"""Pose of the vehicle at the instant of a picture, between two telemetry messages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from dronemon.types import FloatArray, Pose, Vector3
+
+
+def interpolate_pose(before: Pose, after: Pose, time_s: float) -> Pose:
+    """The pose at an instant between two others.
+
+    Angles turn the shorter way round. Outside the interval the nearer pose moves on with its
+    velocity and keeps its attitude.
+    """
+    if time_s <= before.time_s:
+        return _moved(before, time_s)
+    if time_s >= after.time_s:
+        return _moved(after, time_s)
+    t = (time_s - before.time_s) / (after.time_s - before.time_s)
+    turn = np.subtract(after.attitude_rad, before.attitude_rad)
+    attitude = np.add(before.attitude_rad, t * _wrapped(turn))
+    return Pose(
+        time_s=time_s,
+        position_ned_m=_between(before.position_ned_m, after.position_ned_m, t),
+        velocity_ned_m_s=_between(before.velocity_ned_m_s, after.velocity_ned_m_s, t),
+        attitude_rad=_vector(_wrapped(attitude)),
+    )
+
+
+def _moved(pose: Pose, time_s: float) -> Pose:
+    step_m = np.multiply(pose.velocity_ned_m_s, time_s - pose.time_s)
+    position = _vector(np.add(pose.position_ned_m, step_m))
+    return replace(pose, time_s=time_s, position_ned_m=position)
+
+
+def _between(start: Vector3, end: Vector3, t: float) -> Vector3:
+    return _vector((1.0 - t) * np.array(start) + t * np.array(end))
+
+
+def _wrapped(angles_rad: FloatArray) -> FloatArray:
+    """The same angles from -pi up to pi."""
+    wrapped: FloatArray = (angles_rad + math.pi) % (2.0 * math.pi) - math.pi
+    return wrapped
+
+
+def _vector(values: FloatArray) -> Vector3:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
