@@ -141,7 +141,7 @@ class Detector:
         return [centres[i] + 0.5 for i in chosen]
 
     def _coat(self, image: ImageArray) -> NDArray[np.uint8]:
-        """Every pixel's coat. -> its shape less the last, 0 for ground or 1 + place in COAT_COLOURS"""
+        """Every pixel's coat: 0 for ground, or 1 + its place in COAT_COLOURS. -> (height, width)"""
         blue, green, red = (image[..., i].astype(np.uint16) >> 3 for i in range(3))
         coat: NDArray[np.uint8] = self._colour_table[blue << 10 | green << 5 | red]
         return coat
