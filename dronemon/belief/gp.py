@@ -6,7 +6,7 @@ Source: Rasmussen & Williams (2006), algorithm 2.1; kernel and length scales: pa
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -42,83 +42,100 @@ class Matern32:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """A batch of fitted Gaussian processes of zero prior mean and unit prior variance.
+    """Fitted processes of N targets, of zero prior mean and unit prior variance, in batches.
 
-    points: (..., n, 3) au, padding moved far away; cholesky: (..., n, n) lower factor of their
-    covariance; weights: (..., n) covariance⁻¹ · values, zero for padding.
+    points:   (..., N, n, 3) au, padding moved far away
+    shared:   (..., n, 3)    au, the point of each column that targets have in common
+    cholesky: (..., N, n, n) lower factor of the points' covariance
+    weights:  (..., N, n)    covariance^-1 values; zero for padding
     """
 
     kernel: Matern32
     points: Tensor
+    shared: Tensor
     cholesky: Tensor
     weights: Tensor
 
     def predict(self, query: Tensor) -> tuple[Tensor, Tensor]:
-        """Posterior mean and standard deviation. query: (..., m, 3) au -> mean, std, both (..., m).
+        """Posterior mean and standard deviation.
 
-        The batch dimensions of `query` broadcast against those of the fit.
+        query: (..., N, m, 3) au, or (..., 1, m, 3) or (m, 3), the same points for all targets,
+        which is faster -> mean, std, both (..., N, m).
+
         Source: paper, equation 2.
         """
-        mean, std = self._in_blocks(query, with_mean=True, with_std=True)
-        return mean, std
+        return self._in_blocks(query, with_mean=True, with_std=True)
 
     def mean(self, query: Tensor) -> Tensor:
-        """Posterior mean alone. query: (..., m, 3) au -> (..., m)."""
+        """Posterior mean alone. query: as for `predict` -> (..., N, m)."""
         return self._in_blocks(query, with_mean=True, with_std=False)[0]
 
     def std(self, query: Tensor) -> Tensor:
-        """Posterior standard deviation alone. query: (..., m, 3) au -> (..., m) in [0, 1]."""
+        """Posterior standard deviation alone. query: as for `predict` -> (..., N, m) in [0, 1]."""
         return self._in_blocks(query, with_mean=False, with_std=True)[1]
-
-    def common_mean(self, query: Tensor, shared: Tensor) -> Tensor:
-        """Posterior means of N processes at the same points: `mean`, but faster for many of them.
-
-        The covariance with a point that several processes share is worked out once.
-
-        query: (m, 3) au; shared: (n, 3) au, points that many processes have -> (N, m).
-        """
-        n = shared.shape[0]
-        is_own = (self.points != shared).any(dim=-1) & (self.weights != 0.0)  # (N, n)
-        process, index = is_own.nonzero(as_tuple=True)
-        points = torch.cat([shared, self.points[process, index]])
-        weights = self.weights.new_zeros(self.weights.shape[0], points.shape[0])
-        weights[:, :n] = self.weights.masked_fill(is_own, 0.0)
-        weights[process, n + torch.arange(len(index))] = self.weights[process, index]
-        return weights @ self.kernel(points, query)
-
-    def __getitem__(self, index: int) -> Posterior:
-        """The processes at an index of the first batch dimension."""
-        return replace(
-            self,
-            points=self.points[index],
-            cholesky=self.cholesky[index],
-            weights=self.weights[index],
-        )
 
     def _in_blocks(
         self, query: Tensor, *, with_mean: bool, with_std: bool
     ) -> tuple[Tensor, Tensor]:
         """Predict a few batch elements at a time, so that their cross-covariance stays in cache."""
-        n, m = self.points.shape[-2], query.shape[-2]
-        batch = np.broadcast_shapes(self.points.shape[:-2], query.shape[:-2])
-        points = self.points.expand(*batch, n, 3).reshape(-1, n, 3)
-        cholesky = self.cholesky.expand(*batch, n, n).reshape(-1, n, n)
-        weights = self.weights.expand(*batch, n).reshape(-1, n)
-        query = query.expand(*batch, m, 3).reshape(-1, m, 3)
-        size = points.shape[0]
-        mean = query.new_empty((size, m if with_mean else 0))
-        std = query.new_empty((size, m if with_std else 0))
-        step = max(1, _BLOCK[query.device.type] // max(1, n * m))
+        query = query[None] if query.dim() == 2 else query
+        batch = np.broadcast_shapes(self.points.shape[:-3], query.shape[:-3])
+        size = math.prod(batch)
+        points, shared, cholesky, weights, query = (
+            x.expand(*batch, *x.shape[-dims:]).reshape(size, *x.shape[-dims:])
+            for x, dims in zip(
+                (self.points, self.shared, self.cholesky, self.weights, query),
+                (3, 2, 3, 2, 3),
+                strict=True,
+            )
+        )
+        num_targets, n = weights.shape[1:]
+        m, is_common = query.shape[-2], query.shape[1] < num_targets
+        mean = query.new_empty((size, num_targets, m if with_mean else 0))
+        std = query.new_empty((size, num_targets, m if with_std else 0))
+        step = max(1, _BLOCK[query.device.type] // max(1, num_targets * n * m))
         for start in range(0, size, step):
             block = slice(start, start + step)
-            cross = self.kernel(points[block], query[block])  # (block, n, m)
+            if is_common and not with_std:
+                mean[block] = self._common_mean(
+                    points[block], shared[block], weights[block], query[block, 0]
+                )
+                continue
+            if is_common:
+                cross = self._common_cross(points[block], shared[block], query[block, 0])
+            else:
+                cross = self.kernel(points[block], query[block])  # (block, N, n, m)
             if with_mean:
-                mean[block] = (weights[block, None, :] @ cross)[:, 0]
+                mean[block] = (weights[block, :, None] @ cross)[:, :, 0]
             if with_std:
                 explained = torch.linalg.solve_triangular(cholesky[block], cross, upper=False)
                 variance = 1.0 - explained.square_().sum(-2)
                 std[block] = variance.clamp_min_(0.0).sqrt_()
-        return mean.reshape(*batch, mean.shape[1]), std.reshape(*batch, std.shape[1])
+        return mean.reshape(*batch, *mean.shape[1:]), std.reshape(*batch, *std.shape[1:])
+
+    def _common_cross(self, points: Tensor, shared: Tensor, query: Tensor) -> Tensor:
+        """Covariance of all targets' points with a common query; a shared point's is found once.
+
+        points: (b, N, n, 3); shared: (b, n, 3); query: (b, m, 3) -> (b, N, n, m).
+        """
+        cross = self.kernel(shared, query)[:, None].repeat(1, points.shape[1], 1, 1)
+        own = (points != shared[:, None]).any(dim=-1).nonzero(as_tuple=True)
+        cross[own] = self.kernel(points[own][:, None], query[own[0]])[:, 0]
+        return cross
+
+    def _common_mean(
+        self, points: Tensor, shared: Tensor, weights: Tensor, query: Tensor
+    ) -> Tensor:
+        """Posterior means at a common query, without every target's own cross-covariance.
+
+        points, shared, query: as above; weights: (b, N, n) -> (b, N, m).
+        """
+        is_own = (points != shared[:, None]).any(dim=-1)
+        mean = weights.masked_fill(is_own, 0.0) @ self.kernel(shared, query)
+        episode, target, index = (is_own & (weights != 0.0)).nonzero(as_tuple=True)
+        own = (episode, target, index)
+        cross = self.kernel(points[own][:, None], query[episode])[:, 0]
+        return mean.index_put_((episode, target), weights[own][:, None] * cross, accumulate=True)
 
 
 def fit(
@@ -130,9 +147,9 @@ def fit(
 ) -> Posterior:
     """Condition zero-mean Gaussian processes on noiseless observations.
 
-    points: (..., n, 3) au x, y, t
-    values: (..., n)    1 presence, 0 absence
-    mask:   (..., n)    bool; false marks padding, whose points and values are ignored
+    points: (..., N, n, 3) au x, y, t
+    values: (..., N, n)    1 presence, 0 absence
+    mask:   (..., N, n)    bool; false marks padding, whose points and values are ignored
     jitter: added to the diagonal; by default what the precision needs
     -> a `Posterior` on the device and in the precision of `points`.
 
@@ -143,7 +160,8 @@ def fit(
     jitter = jitter if jitter is not None else JITTER[points.dtype]
     far = _FAR_AU * torch.arange(1, n + 1, device=points.device, dtype=points.dtype)
     points = torch.where(mask[..., None], points, far[:, None])
-    covariance = kernel(points, points)  # (..., n, n)
+    values = torch.where(mask, values, 0.0)
+    covariance = kernel(points, points)  # (..., N, n, n)
     covariance.diagonal(dim1=-2, dim2=-1).add_(jitter)
     cholesky, info = torch.linalg.cholesky_ex(covariance)
     if bool((info != 0).any()):
@@ -152,6 +170,23 @@ def fit(
             f" positive definite with jitter {jitter:g} in {points.dtype}; look for observations"
             " that repeat or are not finite, or use float64"
         )
-    values = torch.where(mask, values, 0.0)
-    weights = torch.cholesky_solve(values[..., None], cholesky)[..., 0]
-    return Posterior(kernel=kernel, points=points, cholesky=cholesky, weights=weights)
+    return Posterior(
+        kernel=kernel,
+        points=points,
+        shared=_common_points(points, values, mask),
+        cholesky=cholesky,
+        weights=torch.cholesky_solve(values[..., None], cholesky)[..., 0],
+    )
+
+
+def _common_points(points: Tensor, values: Tensor, mask: Tensor) -> Tensor:
+    """The point of one target in each column: of one that was not seen, if there is one.
+
+    Targets that one measurement did not see have the agent's position in common.
+    (..., N, n, 3), (..., N, n) twice -> (..., n, 3).
+    """
+    if points.shape[-3] == 0:
+        return points.new_zeros(*points.shape[:-3], *points.shape[-2:])
+    rank = torch.where(mask, values, torch.inf)
+    target = rank.argmin(dim=-2)[..., None, :, None].expand(*points.shape[:-3], 1, -1, 3)
+    return points.gather(-3, target)[..., 0, :, :]

@@ -18,7 +18,6 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from dronemon.belief.gp import Matern32, Posterior, fit
 from dronemon.belief.store import WINDOW_TIME_SCALES
@@ -185,16 +184,12 @@ def episode_metrics(
     unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
     for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
         block = torch.arange(start, min(start + _INSTANTS_AT_ONCE, len(time_au)))
-        points, values, mask, shared = history.windows(block, window_au)
-        posterior = fit(points, values, mask, kernel=kernel)  # (block, N)
+        posterior = fit(*history.windows(block, window_au), kernel=kernel)  # (block, N)
         now_au, truth_au = history.time_au[block], history.targets_au[block]
         unc[block] = area_std(posterior, truth_au, now_au[:, None].expand(truth_au.shape[:-1]))
-        mean = torch.stack(
-            [
-                posterior[i].common_mean(pad(grid, (0, 1), value=float(t)), shared[i])
-                for i, t in enumerate(now_au)
-            ]
-        )  # (block, N, 1600)
+        instant_au = now_au[:, None, None].expand(-1, len(grid), 1)
+        query = torch.cat([grid.expand(len(block), -1, -1), instant_au], dim=-1)
+        mean = posterior.mean(query[:, None])  # (block, N, 1600)
         jsd[block] = jensen_shannon(mean, truth_au)
         error_au[block] = peak_error_au(mean, truth_au)
     return EpisodeMetrics(
@@ -220,14 +215,12 @@ def since_seen_au(time_au: FloatArray, observed: BoolArray) -> FloatArray:
 class _History:
     """A recorded episode as observations, so that any instant's window can be cut out of it.
 
-    time_au: (S+1,); targets_au: (S+1, N, 2); agent_points: (S+1, 3) where it was when;
-    points: (S+1, N, 3) and values: (S+1, N), what each instant told; is_known: (S+1, N) whether
-    the target is believed in; has_prior: (N,).
+    time_au: (S+1,); targets_au: (S+1, N, 2); points: (S+1, N, 3) and values: (S+1, N), what each
+    instant told; is_known: (S+1, N) whether the target is believed in; has_prior: (N,).
     """
 
     time_au: Tensor
     targets_au: Tensor
-    agent_points: Tensor
     points: Tensor
     values: Tensor
     is_known: Tensor
@@ -248,22 +241,19 @@ class _History:
         known = np.maximum.accumulate(seen, axis=0) | (prior == "number")
         place = np.where(seen[..., None], targets_au, agent_au[:, None])
         time = np.broadcast_to(time_au[:, None, None], (*seen.shape, 1))
-        agent_points = np.concatenate([agent_au, time_au[:, None]], axis=-1)
         return cls(
             time_au=torch.as_tensor(time_au),
             targets_au=torch.as_tensor(targets_au),
-            agent_points=torch.as_tensor(agent_points),
             points=torch.as_tensor(np.concatenate([place, time], axis=-1)),
             values=torch.as_tensor(seen, dtype=torch.float64),
             is_known=torch.as_tensor(known),
             has_prior=torch.as_tensor(seen[0]),
         )
 
-    def windows(self, instants: Tensor, window_au: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def windows(self, instants: Tensor, window_au: float) -> tuple[Tensor, Tensor, Tensor]:
         """Observations that count at some instants.
 
-        instants: (T,) -> points (T, N, n, 3), values (T, N, n), mask (T, N, n), and the points
-        (T, n, 3) that targets which were not seen have in common.
+        instants: (T,) -> points (T, N, n, 3), values (T, N, n), mask (T, N, n).
         """
         begin = torch.searchsorted(self.time_au, self.time_au[instants] - window_au)
         width = int((instants - begin).amax()) + 1
@@ -274,4 +264,4 @@ class _History:
         is_real = (index > 0)[:, None] | self.has_prior[:, None]  # (T, N, n)
         mask = counts[:, None] & is_real & self.is_known[instants][..., None]
         points, values = self.points[index].transpose(1, 2), self.values[index].transpose(1, 2)
-        return points, values, mask, self.agent_points[index]
+        return points, values, mask

@@ -1,5 +1,6 @@
-"""Where the agent may go next: a random roadmap over the unit square."""
+"""Where the agent may go next: a random roadmap over the unit square, and its encoding."""
 
+from dronemon.roadmap.encoding import laplacian_encoding
 from dronemon.roadmap.graph import Roadmap
 
-__all__ = ["Roadmap"]
+__all__ = ["Roadmap", "laplacian_encoding"]
