@@ -1,5 +1,15 @@
 """Planners: they take a snapshot of the mission and return the next waypoint."""
 
 from dronemon.planner.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt, Waypoint
+from dronemon.planner.registry import create_planner, planner_names
 
-__all__ = ["Briefing", "Clairvoyant", "Planner", "Snapshot", "TargetsAt", "Waypoint"]
+__all__ = [
+    "Briefing",
+    "Clairvoyant",
+    "Planner",
+    "Snapshot",
+    "TargetsAt",
+    "Waypoint",
+    "create_planner",
+    "planner_names",
+]

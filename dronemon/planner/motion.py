@@ -1,0 +1,37 @@
+"""Small moves that planners share: a step towards a point, and a circle around one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
+from dronemon.types import FloatArray
+
+ARRIVED_AU = 1e-6
+"""Distance at which a point counts as reached; no waypoint may be nearer."""
+ORBIT_RADIUS_AU = 0.05
+ORBIT_STEP_RAD = math.pi / 3.0
+
+
+def until_measurement_au(time_au: float) -> float:
+    """Distance from here to the next measurement; a whole interval where one was just taken."""
+    since = math.fmod(time_au, MEASUREMENT_INTERVAL_AU)
+    left = MEASUREMENT_INTERVAL_AU - since
+    return left if left > ARRIVED_AU else MEASUREMENT_INTERVAL_AU
+
+
+def step_towards(position_au: FloatArray, goal_au: FloatArray, step_au: float) -> FloatArray:
+    """Point at most `step_au` from here on the straight line to the goal. (2,), (2,) -> (2,)."""
+    offset = goal_au - position_au
+    distance = math.hypot(offset[0], offset[1])
+    return goal_au if distance <= step_au else position_au + offset * (step_au / distance)
+
+
+def orbit(position_au: FloatArray, centre_au: FloatArray) -> FloatArray:
+    """Next corner of a small hexagon around a point, for an agent that cannot stop. -> (2,)."""
+    centre = np.clip(centre_au, ORBIT_RADIUS_AU, 1.0 - ORBIT_RADIUS_AU)
+    offset = position_au - centre
+    bearing = math.atan2(offset[1], offset[0]) + ORBIT_STEP_RAD
+    return centre + ORBIT_RADIUS_AU * np.array([math.cos(bearing), math.sin(bearing)])

@@ -1,0 +1,247 @@
+"""The TSP loop: a shortest closed tour of where the targets are thought to be, again and again.
+
+A target that is not found where it was thought to be is skipped until its turn comes again. Three
+planners differ only in where they think the targets are: where each was last seen, where the
+belief of it is highest, or where it truly will be, as a bound on the others.
+
+Source: paper, section V-A, after Yu et al. (2017).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from dronemon.planner.lawnmower import Sweep, sweep_length_au, sweep_track
+from dronemon.planner.motion import orbit, step_towards, until_measurement_au
+from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
+from dronemon.planner.tour import shortest_loop
+from dronemon.roadmap import Roadmap
+from dronemon.types import FloatArray, IntArray
+
+REACHED_AU = 1e-3
+"""Distance at which a target's place counts as visited."""
+INTERCEPT_ROUNDS = 4
+"""Fixed-point rounds of meeting a moving target; each divides the miss by the speed ratio."""
+SHORTEST_AU = 0.01
+"""Sights nearer in time than this are taken to lie this far apart, to bound the speed read off."""
+PEAK_GRID = 21
+"""Points per axis among which a belief's peak is sought: 0.05 au apart, half a length scale."""
+
+
+class Whereabouts(Protocol):
+    """Where the known targets are thought to be."""
+
+    def reset(self, briefing: Briefing) -> None:
+        """Begin a mission."""
+        ...
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Take in what was measured since the last snapshot."""
+        ...
+
+    def at(self, time_au: float) -> FloatArray:
+        """Positions at a time not before the last snapshot. -> (N, 2) au, NaN where unknown."""
+        ...
+
+
+class TspLoop:
+    """Visits each target's supposed place in the order of a shortest loop, round and round.
+
+    The loop is planned anew whenever a target was seen or visited, and flown on in the same sense.
+    While some target's place is unknown, or before the first sweep of a mission that does not
+    know how many targets there are, the lawnmower's lanes are flown instead.
+    """
+
+    def __init__(self, name: str, whereabouts: Whereabouts) -> None:
+        self.name = name
+        self._whereabouts = whereabouts
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        """Forget the loop."""
+        self._whereabouts.reset(briefing)
+        self._sweep = Sweep(track_au=sweep_track())
+        self._sweep_until_au = 0.0 if briefing.num_targets else sweep_length_au()
+        self._loop = np.empty(0, dtype=np.int64)
+        self._goal = 0
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        """Step towards the goal, as far as the next measurement, which may change the loop."""
+        self._whereabouts.take(snapshot)
+        places_au = self._whereabouts.at(snapshot.time_au)  # (N, 2)
+        here_au, step_au = snapshot.position_au, until_measurement_au(snapshot.time_au)
+        if (
+            not len(places_au)
+            or np.isnan(places_au).any()
+            or snapshot.time_au < self._sweep_until_au
+        ):
+            corner_au = self._sweep.next_corner(here_au)
+            return Waypoint(position_au=step_towards(here_au, corner_au, step_au))
+        was_seen = any(measurement.seen.any() for measurement in snapshot.measurements)
+        if was_seen or len(self._loop) != len(places_au):
+            self._plan(places_au, here_au)
+        for _ in places_au:
+            meeting_au = self._meeting_point(snapshot)
+            if np.linalg.norm(meeting_au - here_au) > REACHED_AU:
+                break
+            self._plan(places_au, here_au)
+            self._goal = _successor(self._loop, self._goal)
+        else:  # all of them are here
+            meeting_au = orbit(here_au, meeting_au)
+        return Waypoint(
+            position_au=step_towards(here_au, meeting_au, step_au),
+            details={"goal": self._goal, "loop": self._loop.tolist()},
+        )
+
+    def _plan(self, places_au: FloatArray, here_au: FloatArray) -> None:
+        """Find the shortest loop; a first one begins with the nearest target."""
+        loop = shortest_loop(places_au)
+        if len(self._loop) == len(loop):
+            backwards = loop[::-1]
+            if _shared_steps(self._loop, backwards) > _shared_steps(self._loop, loop):
+                loop = backwards
+        else:
+            self._goal = int(np.linalg.norm(places_au - here_au, axis=-1).argmin())
+        self._loop = loop
+
+    def _meeting_point(self, snapshot: Snapshot) -> FloatArray:
+        """Where the goal is met if we fly straight there. -> (2,)."""
+        arrival_au = snapshot.time_au
+        for _ in range(INTERCEPT_ROUNDS):
+            meeting_au: FloatArray = self._whereabouts.at(arrival_au)[self._goal]
+            distance_au = float(np.linalg.norm(meeting_au - snapshot.position_au))
+            arrival_au = snapshot.time_au + distance_au
+        return meeting_au
+
+
+def _successor(loop: IntArray, target: int) -> int:
+    """Target that follows another in a loop."""
+    place = int(np.flatnonzero(loop == target)[0])
+    return int(loop[(place + 1) % len(loop)])
+
+
+def _shared_steps(a: IntArray, b: IntArray) -> int:
+    """How many targets are followed by the same one in two loops."""
+    return sum(_successor(a, target) == _successor(b, target) for target in a.tolist())
+
+
+class LastSeen:
+    """Where each target was last seen; the places known before the mission count as sights."""
+
+    def reset(self, briefing: Briefing) -> None:
+        """Start from the known places."""
+        self._places_au = briefing.priors_au
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Move the targets that were seen to where they were seen."""
+        for measurement in snapshot.measurements:
+            places_au = _with_joined(self._places_au, len(measurement.seen))
+            self._places_au = np.where(measurement.seen[:, None], measurement.target_au, places_au)
+
+    def at(self, time_au: float) -> FloatArray:
+        """Give the last-seen places, whatever the time."""
+        return self._places_au
+
+
+class CarriedOn:
+    """Where each target would be had it kept on as it moved between its last two sights."""
+
+    def reset(self, briefing: Briefing) -> None:
+        """Start from the known places, at rest."""
+        self._places_au = briefing.priors_au
+        self._times_au = np.zeros(briefing.num_targets)
+        self._velocities = np.zeros((briefing.num_targets, 2))
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Read new velocities off the targets that were seen."""
+        for measurement in snapshot.measurements:
+            joined = len(measurement.seen) - len(self._places_au)
+            places_au = _with_joined(self._places_au, len(measurement.seen))
+            times_au = np.pad(self._times_au, (0, joined))
+            velocities = np.pad(self._velocities, ((0, joined), (0, 0)))
+            seen = measurement.seen[:, None]
+            elapsed_au = np.maximum(measurement.time_au - times_au, SHORTEST_AU)[:, None]
+            moved = (measurement.target_au - places_au) / elapsed_au
+            self._velocities = np.where(seen, np.nan_to_num(moved), velocities)
+            self._places_au = np.where(seen, measurement.target_au, places_au)
+            self._times_au = np.where(measurement.seen, measurement.time_au, times_au)
+
+    def at(self, time_au: float) -> FloatArray:
+        """Carry every target on in a straight line, as far as the border."""
+        moved_au = self._velocities * (time_au - self._times_au)[:, None]
+        places_au: FloatArray = np.clip(self._places_au + moved_au, 0.0, 1.0)
+        return places_au
+
+
+class Predicted:
+    """Where the belief's mean peaks at the time asked for; the last-seen place where it is lost."""
+
+    def __init__(self) -> None:
+        axis = np.linspace(0.0, 1.0, PEAK_GRID)
+        self._grid_au = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+        self._last_seen = LastSeen()
+
+    def reset(self, briefing: Briefing) -> None:
+        """Start from the known places."""
+        self._last_seen.reset(briefing)
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Keep the belief to ask."""
+        self._last_seen.take(snapshot)
+        self._belief = snapshot.belief
+
+    def at(self, time_au: float) -> FloatArray:
+        """Find each belief's peak among the points of a grid."""
+        times_au = np.full((len(self._grid_au), 1), time_au)
+        mean, _ = self._belief.posterior(np.concatenate([self._grid_au, times_au], axis=1))
+        has_peak = mean.max(axis=1, initial=0.0) > 0.0
+        last_seen_au = self._last_seen.at(time_au)
+        peaks_au = self._grid_au[mean.argmax(axis=1)]
+        is_found = has_peak & np.isfinite(last_seen_au).all(axis=1)
+        return np.where(is_found[:, None], peaks_au, last_seen_au)
+
+
+class Foreseen:
+    """Where each target truly is and will be."""
+
+    def foresee(self, targets_at: TargetsAt) -> None:
+        """Take the truth."""
+        self._targets_at = targets_at
+
+    def reset(self, briefing: Briefing) -> None:
+        """Nothing to forget: the truth was just told."""
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Nothing to learn."""
+
+    def at(self, time_au: float) -> FloatArray:
+        """Tell the truth."""
+        return self._targets_at(np.array([time_au]))[0]
+
+
+class ClairvoyantTspLoop:
+    """The TSP loop of one who knows where every target is and will be."""
+
+    name = "clairvoyant"
+
+    def __init__(self) -> None:
+        self._foreseen = Foreseen()
+        self._loop = TspLoop(self.name, self._foreseen)
+
+    def foresee(self, targets_at: TargetsAt) -> None:
+        """Take the truth of the next mission."""
+        self._foreseen.foresee(targets_at)
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        """Forget the loop."""
+        self._loop.reset(briefing, roadmap)
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        """Step towards where the next target will be met."""
+        return self._loop.next_waypoint(snapshot)
+
+
+def _with_joined(places_au: FloatArray, num_targets: int) -> FloatArray:
+    """Room for targets that joined: their places are unknown. (N, 2) -> (num_targets, 2)."""
+    return np.pad(places_au, ((0, num_targets - len(places_au)), (0, 0)), constant_values=np.nan)
