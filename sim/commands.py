@@ -41,7 +41,12 @@ class Command:
         else:
             places = (*(nan if v == _NO_COORDINATE else v / 1e7 for v in (m.x, m.y)), m.z)
         params = (m.param1, m.param2, m.param3, m.param4, *places)
-        return cls(number=m.command, params=params)
+        return cls(number=m.command, params=tuple(_finite(v) for v in params))
+
+
+def whole(value: float) -> int:
+    """The integer that a parameter carries; -1 if it is not given."""
+    return -1 if math.isnan(value) else int(value)
 
 
 def execute(autopilot: Autopilot, command: Command) -> int:
@@ -55,10 +60,9 @@ def _mode(autopilot: Autopilot, mode: Mode) -> int:
 
 
 def _set_mode(autopilot: Autopilot, params: tuple[float, ...]) -> int:
-    if not int(params[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+    if not whole(params[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return REJECTED
-    sub = 0 if math.isnan(params[2]) else int(params[2])
-    mode = mode_from_parts(int(params[1]), sub)
+    mode = mode_from_parts(whole(params[1]), max(whole(params[2]), 0))
     return REJECTED if mode is None else _mode(autopilot, mode)
 
 
@@ -80,7 +84,7 @@ def _take_off(autopilot: Autopilot, params: tuple[float, ...]) -> int:
 
 def _reposition(autopilot: Autopilot, params: tuple[float, ...]) -> int:
     speed, flags, _, yaw, latitude, longitude, altitude = params
-    if math.isnan(flags) or int(flags) != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
+    if whole(flags) != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
         return UNSUPPORTED
     if math.isnan(latitude) or math.isnan(longitude):
         return DENIED
@@ -165,15 +169,20 @@ def _setpoint(message: Any, position: Vector3, *, yaw_rad: float) -> Setpoint | 
         position=_masked(position, mask),
         velocity=_masked(velocity, mask >> 3),
         acceleration=_masked(push, mask >> 6),
-        yaw_rad=nan if mask & _YAW_IGNORED else message.yaw,
-        yaw_rate_rad_s=nan if mask & _YAW_RATE_IGNORED else message.yaw_rate,
+        yaw_rad=nan if mask & _YAW_IGNORED else _finite(message.yaw),
+        yaw_rate_rad_s=nan if mask & _YAW_RATE_IGNORED else _finite(message.yaw_rate),
     )
     return setpoint if setpoint.is_flyable else None
 
 
 def _masked(vector: Vector3, mask: int) -> Vector3:
-    north, east, down = (nan if mask >> i & 1 else v for i, v in enumerate(vector))
+    north, east, down = (nan if mask >> i & 1 else _finite(v) for i, v in enumerate(vector))
     return (north, east, down)
+
+
+def _finite(value: float) -> float:
+    """The value, or NaN for an infinite one: PX4 takes both as "not given"."""
+    return value if math.isfinite(value) else nan
 
 
 def _turned(vector: Vector3, yaw_rad: float) -> Vector3:

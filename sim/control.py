@@ -12,6 +12,7 @@ from sim.parameters import Parameters
 
 UNSET: Vector3 = (nan, nan, nan)
 _INTEGRAL_MAX_M_S2 = 5.0
+_WINDUP_GAIN = 2.0
 _THRUST_MIN_M_S2 = 0.2 * GRAVITY_M_S2
 _THRUST_MAX_M_S2 = 2.0 * GRAVITY_M_S2
 
@@ -74,18 +75,22 @@ class PositionController:
         if self._read != self._parameters.changes:
             self._read_gains()
         wanted = self._wanted_velocity(setpoint, position, climb_max_m_s)
-        push = [0.0, 0.0, 0.0]
+        push, errors = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         for axis in (0, 1, 2):
             feed = setpoint.acceleration[axis]
             push[axis] = 0.0 if isnan(feed) else feed
             if isnan(wanted[axis]):
                 continue
-            error = wanted[axis] - velocity[axis]
-            integral = self._integral[axis] + self._velocity_i[axis] * error * dt_s
-            self._integral[axis] = min(max(integral, -_INTEGRAL_MAX_M_S2), _INTEGRAL_MAX_M_S2)
-            push[axis] += self._velocity_p[axis] * error + self._integral[axis]
+            errors[axis] = wanted[axis] - velocity[axis]
+            push[axis] += self._velocity_p[axis] * errors[axis] + self._integral[axis]
             push[axis] -= self._velocity_d[axis] * acceleration[axis]
-        return self._limited(push)
+        thrust = self._limited(push)
+        for axis in (0, 1):  # anti-windup: what the limits take away is not integrated
+            errors[axis] -= _WINDUP_GAIN / self._velocity_p[axis] * (push[axis] - thrust[axis])
+        for axis in (0, 1, 2):
+            integral = self._integral[axis] + self._velocity_i[axis] * errors[axis] * dt_s
+            self._integral[axis] = min(max(integral, -_INTEGRAL_MAX_M_S2), _INTEGRAL_MAX_M_S2)
+        return thrust
 
     def _wanted_velocity(
         self, setpoint: Setpoint, position: list[float], climb_max_m_s: float

@@ -23,6 +23,7 @@ from sim.commands import (
     execute,
     setpoint_from_global,
     setpoint_from_local,
+    whole,
 )
 from sim.parameters import TABLE
 from sim.plans import PlanService
@@ -210,11 +211,13 @@ class MavlinkLink(asyncio.DatagramProtocol):
         if command.number == mavlink.MAV_CMD_GET_HOME_POSITION:
             return self._send_once(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
         if command.number == mavlink.MAV_CMD_REQUEST_MESSAGE:
-            return self._send_once(int(command.params[0]))
-        stream = self._streams.get(int(command.params[0])) if command.params[0] >= 0 else None
+            return self._send_once(whole(command.params[0]))
+        number = whole(command.params[0])
+        stream = self._streams.get(number)
         if command.number == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-            number, interval_s = int(command.params[0]), stream.interval_s if stream else 0.0
-            interval_us = round(interval_s * 1e6) if interval_s > 0.0 else -1
+            if not 0 <= number < 65536:
+                return DENIED
+            interval_us = round(stream.interval_s * 1e6) if stream in self._active else -1
             self._send(mavlink.MAVLink_message_interval_message(number, interval_us))
             return ACCEPTED
         if command.number == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:

@@ -6,6 +6,7 @@ The defaults are those that were measured to act in PX4 v1.17 SITL, such as a re
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ _REAL32 = 9
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: its default, which also gives its type, and its bounds."""
+    """One parameter: its default, which also gives its type, and the values that make sense."""
 
     name: str
     default: float | int
@@ -35,7 +36,7 @@ TABLE = (
     Parameter("COM_OF_LOSS_T", 1.0, 0.0, 60.0),
     Parameter("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0),
     Parameter("MAV_SYS_ID", 1, 1, 250),
-    Parameter("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0),
+    Parameter("MIS_TAKEOFF_ALT", 2.5, 0.0, 1000.0),
     Parameter("MPC_ACC_DOWN_MAX", 3.0, 2.0, 15.0),
     Parameter("MPC_ACC_HOR", 3.0, 2.0, 15.0),
     Parameter("MPC_ACC_UP_MAX", 4.0, 2.0, 15.0),
@@ -107,11 +108,13 @@ class Parameters:
         return name, float(value), _REAL32
 
     def from_wire(self, name: str, value: float, wire_type: int) -> bool:
-        """Store what PARAM_SET carries. -> whether its type is the parameter's."""
+        """Store what PARAM_SET carries. -> whether it could: of the right type and finite."""
         is_int = isinstance(_BY_NAME[name].default, int)
         if wire_type != (_INT32 if is_int else _REAL32):
             return False
         if is_int:
             value = struct.unpack("<i", struct.pack("<f", value))[0]
+        elif not math.isfinite(value):
+            return False
         self.set(name, value)
         return True

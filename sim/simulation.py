@@ -87,6 +87,11 @@ class Simulation:
         for link in self._links:
             link.stream(texts)
 
+    def flush(self) -> None:
+        """Hand everything sent so far to the network."""
+        for link in self._links:
+            link.flush()
+
     async def run(self, speed_up: float) -> None:
         """Keep vehicle time at wall time x `speed_up`, until cancelled."""
         begin_s, begun_at_s = time.monotonic(), self._time_s
@@ -97,8 +102,7 @@ class Simulation:
                 due_s = self._time_s + _BURST_MAX_S
             while self._time_s + STEP_S <= due_s:
                 self.step()
-            for link in self._links:
-                link.flush()
+            self.flush()
             await asyncio.sleep(_PAUSE_S)
 
     @property

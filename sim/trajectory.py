@@ -60,10 +60,12 @@ class Trajectory:
         dt_s: float,
     ) -> None:
         """Change the velocity of some axes towards the wanted one and move along them."""
-        push = [(w - self.velocity[i]) / _RESPONSE_S for i, w in zip(axes, wanted, strict=True)]
-        size = math.hypot(*push)
-        scale = acceleration / size if size > acceleration else 1.0
-        change = [p * scale - self.acceleration[i] for i, p in zip(axes, push, strict=True)]
+        lack = [w - self.velocity[i] for i, w in zip(axes, wanted, strict=True)]
+        size = math.hypot(*lack)
+        # What can be taken back, within the jerk limit, before the wanted velocity is passed.
+        most = min(acceleration, math.sqrt(2.0 * jerk * size), size / _RESPONSE_S)
+        scale = most / size if size > 0.0 else 0.0
+        change = [v * scale - self.acceleration[i] for i, v in zip(axes, lack, strict=True)]
         size = math.hypot(*change)
         scale = jerk * dt_s / size if size > jerk * dt_s else 1.0
         for axis, step in zip(axes, change, strict=True):
