@@ -1,0 +1,161 @@
+"""Episodes with a teacher at the side: the student or the teacher flies, the teacher scores.
+
+The teacher is the search planner on the roadmap. At every decision, whoever flies, it says what
+the best path by way of each neighbour would gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dronemon.belief import Belief
+from dronemon.env import Env, Observation, Setup
+from dronemon.planner import Briefing, Snapshot
+from dronemon.planner.search import RoadmapSearchPlanner, SearchSettings
+from dronemon.policy import Graphs, PolicyNetwork, Segment, Verdict
+from dronemon.roadmap import Roadmap
+from dronemon.training.rollout import Rollout, play
+from dronemon.world import Instance, measure, sample_leg
+
+NUM_NEIGHBOURS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lesson:
+    """A rollout and what the teacher thought of it.
+
+    rollout: the episodes, with windows in float16 to save room; gains: (B, L, k) float32 by way of
+    each neighbour, -inf where there is none
+    """
+
+    rollout: Rollout
+    gains: Tensor
+
+    def to_parts(self) -> dict[str, Any]:
+        """As nested tensors and numbers, which a file can hold."""
+        rollout = _parts(self.rollout)
+        rollout["segment"] = _parts(self.rollout.segment)
+        rollout["segment"]["graphs"] = _parts(self.rollout.segment.graphs)
+        return {"rollout": rollout, "gains": self.gains}
+
+    @classmethod
+    def from_parts(cls, parts: dict[str, Any]) -> Lesson:
+        """What `to_parts` took apart."""
+        rollout, segment = parts["rollout"], parts["rollout"]["segment"]
+        graphs = Graphs(**segment["graphs"])
+        whole = Segment(**{**segment, "graphs": graphs})
+        return cls(rollout=Rollout(**{**rollout, "segment": whole}), gains=parts["gains"])
+
+
+class Teacher:
+    """Flies along with one episode of the environment and scores the neighbours of each node."""
+
+    def __init__(self, setup: Setup, settings: SearchSettings) -> None:
+        instance = Instance.draw(setup.seed, setup.num_targets)
+        self._targets, self._speed_ratio = instance.paths, setup.speed_ratio
+        self._roadmap = Roadmap.random(
+            setup.num_nodes, NUM_NEIGHBOURS, instance.stream("roadmap"), instance.start_au
+        )
+        self._belief = Belief(setup.num_targets)
+        priors_au = self._targets.positions_au(0.0)
+        for index, position_au in enumerate(priors_au):
+            self._belief.add_prior(index, position_au)
+        self._planner = RoadmapSearchPlanner(settings)
+        self._planner.reset(
+            Briefing(
+                num_targets=setup.num_targets,
+                priors_au=priors_au,
+                start_au=instance.start_au,
+                horizon_au=np.inf,
+                rng=instance.stream("teacher"),
+            ),
+            self._roadmap,
+        )
+        self._time_au, self._residual_au, self._node = 0.0, 0.0, 0
+
+    def score(self, node: int, time_au: float, num_columns: int) -> tuple[int, Tensor]:
+        """Where it would go from the node just reached, and what each neighbour would gain.
+
+        -> column of `neighbours`; (num_columns,) gains, -inf where there is no neighbour
+        """
+        nodes_au = self._roadmap.nodes_au
+        leg = sample_leg(nodes_au[self._node], nodes_au[node], self._residual_au)
+        measurements = []
+        for offset_au, agent_au in zip(leg.offsets_au, leg.positions_au, strict=True):
+            at_au = self._time_au + float(offset_au)
+            targets_au = self._targets.positions_au(self._speed_ratio * at_au)
+            measurements.append(measure(at_au, agent_au, targets_au))
+            self._belief.add(measurements[-1])
+        self._residual_au, self._time_au, self._node = leg.residual_au, time_au, node
+        waypoint = self._planner.next_waypoint(
+            Snapshot(
+                time_au=time_au,
+                position_au=nodes_au[node],
+                node=node,
+                measurements=tuple(measurements),
+                belief=self._belief,
+                roadmap=self._roadmap,
+                remaining_au=np.inf,
+            )
+        )
+        columns = np.flatnonzero(self._roadmap.is_move[node])
+        gains = torch.full((num_columns,), -torch.inf)
+        gains[torch.as_tensor(columns)] = torch.as_tensor(
+            waypoint.details["neighbour_gains"], dtype=torch.float32
+        )
+        chosen = int(np.flatnonzero(self._roadmap.neighbours[node] == waypoint.node)[0])
+        return chosen, gains
+
+
+def teach(
+    network: PolicyNetwork,
+    setups: Sequence[Setup],
+    *,
+    is_taught: Sequence[bool],
+    is_greedy: Sequence[bool],
+    history: int,
+    num_decisions: int,
+    settings: SearchSettings,
+    rng: torch.Generator,
+) -> Lesson:
+    """Play one episode per setup and have each scored.
+
+    is_taught: the teacher flies, not the student; is_greedy: the student flies as it would in a
+    mission, not by its policy's probabilities
+    """
+    teachers = [Teacher(setup, settings) for setup in setups]
+    taught, greedy = torch.tensor(is_taught), torch.tensor(is_greedy)
+    gains: list[Tensor] = []
+
+    def choose(verdict: Verdict, observation: Observation) -> Tensor:
+        logits = verdict.logits[:, 0]
+        places = zip(
+            teachers, observation.node.tolist(), observation.length_au.tolist(), strict=True
+        )
+        scored = [t.score(node, time_au, logits.shape[1]) for t, node, time_au in places]
+        gains.append(torch.stack([score for _, score in scored]))
+        sampled = torch.multinomial(logits.softmax(-1), 1, generator=rng)[:, 0]
+        own = torch.where(greedy, logits.argmax(-1), sampled)
+        return torch.where(taught, torch.tensor([column for column, _ in scored]), own)
+
+    rollout = play(
+        network,
+        Env(max_decisions=num_decisions + 1, num_neighbours=NUM_NEIGHBOURS),
+        setups,
+        history=history,
+        num_decisions=num_decisions,
+        choose=choose,
+    )
+    segment = replace(rollout.segment, windows=rollout.segment.windows.half())
+    return Lesson(rollout=replace(rollout, segment=segment), gains=torch.stack(gains, dim=1))
+
+
+def _parts(value: Rollout | Segment | Graphs) -> dict[str, Any]:
+    """The fields of a dataclass, not taken apart further."""
+    return {f.name: getattr(value, f.name) for f in fields(value)}

@@ -1,0 +1,216 @@
+"""Proximal policy optimisation by the paper's recipe: play, weigh, and improve, top to bottom.
+
+Source: paper, section IV-C; Schulman et al. (2017). Environment and network are batched on one
+device; several processes each play and learn from their own episodes and average gradients.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from dronemon.env import Env, Setup
+from dronemon.policy import PolicyNetwork, Segment, Verdict
+from dronemon.training.gae import advantages
+from dronemon.training.peers import Peers
+from dronemon.training.rollout import Rollout, play, sampled
+
+FIRST_SEED = 1_000_000
+"""Training instances have seeds from here on; below are development and evaluation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PpoConfig:
+    """The paper's settings. Ranges are inclusive; episodes and iterations count over all processes.
+
+    curriculum_episodes: over which the greatest target speed rises from 0 to max_speed_ratio;
+    objective: `fall` is the paper's reward, `unc` the negative mean of sigma_bar along the leg.
+    """
+
+    episodes_per_iteration: int = 32
+    decisions: int = 256
+    epochs: int = 4
+    minibatch_episodes: int = 2
+    discount: float = 0.99
+    # Differs from STAMP: lambda is 0 in the release and 1 in the paper's text.
+    lam: float = 0.95
+    clip: float = 0.2
+    value_weight: float = 0.2
+    entropy_weight: float = 0.0
+    max_gradient: float = 5.0
+    learning_rate: float = 1e-4
+    decay: float = 0.96
+    # Differs from STAMP: every 64 episodes, as the paper says, would stop learning after 10 000;
+    # the release decays every 64 iterations.
+    decay_iterations: int = 64
+    curriculum_episodes: int = 10_000
+    max_speed_ratio: float = 0.1
+    num_nodes: tuple[int, int] = (100, 200)
+    history: tuple[int, int] = (50, 100)
+    num_targets: tuple[int, int] = (2, 5)
+    objective: Literal["fall", "unc"] = "fall"
+    reward_scale: float = 5.0
+    decision_cost: float = 0.1
+
+
+class Ppo:
+    """The recipe `paper`: reinforcement learning from scratch, or from given weights."""
+
+    name = "paper"
+
+    def __init__(
+        self,
+        network: PolicyNetwork,
+        config: PpoConfig,
+        *,
+        seed: int,
+        device: torch.device,
+        peers: Peers,
+    ) -> None:
+        self.network = network
+        self.config = config
+        self._seed = seed
+        self._device = device
+        self._peers = peers
+        self._num_iterations = 0
+        self._optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """What a card says about the recipe."""
+        return asdict(self.config)
+
+    def state(self) -> dict[str, Any]:
+        """All that the next iteration depends on, besides the weights."""
+        return {"iterations": self._num_iterations, "optimizer": self._optimizer.state_dict()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where `state` was taken."""
+        self._num_iterations = state["iterations"]
+        self._optimizer.load_state_dict(state["optimizer"])
+
+    def iterate(self, progress: float) -> dict[str, float]:
+        """Play a batch of episodes, then learn from it. progress: unused, the paper's is fixed."""
+        del progress
+        config, began = self.config, time.perf_counter()
+        for group in self._optimizer.param_groups:
+            decays = self._num_iterations // config.decay_iterations
+            group["lr"] = config.learning_rate * config.decay**decays
+        rollout = self._play()
+        played = time.perf_counter()
+        metrics = self._learn(rollout)
+        self._num_iterations += 1
+        learned = time.perf_counter()
+        count = rollout.actions.numel() * self._peers.size
+        return {
+            **metrics,
+            "unc": float(rollout.unc.mean()),
+            "reward": float(rollout.rewards.mean()),
+            "learning_rate": self._optimizer.param_groups[0]["lr"],
+            "decisions": float(count),
+            "play_s": played - began,
+            "learn_s": learned - played,
+            "decisions_per_s": count / (learned - began),
+        }
+
+    def _play(self) -> Rollout:
+        """Play the share of the iteration's episodes that falls to this process."""
+        config = self.config
+        # All randomness follows from seed and iteration, so a resumed run plays the same episodes.
+        common = np.random.default_rng([self._seed, self._num_iterations])
+        own = torch.Generator(self._device)
+        own.manual_seed(int(common.integers(2**48)) * self._peers.size + self._peers.rank)
+        first = self._num_iterations * config.episodes_per_iteration
+        share = max(1, config.episodes_per_iteration // self._peers.size)
+        risen = min(1.0, first / config.curriculum_episodes)
+        num_nodes, history, num_targets = (
+            int(common.integers(low, high + 1))
+            for low, high in (config.num_nodes, config.history, config.num_targets)
+        )
+        setups = [
+            Setup(
+                seed=FIRST_SEED + self._seed + first + self._peers.rank * share + i,
+                num_targets=num_targets,
+                num_nodes=num_nodes,
+                speed_ratio=float(common.uniform(0.0, config.max_speed_ratio * risen)),
+            )
+            for i in range(share)
+        ]
+        env = Env(max_decisions=config.decisions, device=self._device)
+        return play(
+            self.network,
+            env,
+            setups,
+            history=history,
+            num_decisions=config.decisions,
+            choose=sampled(own),
+        )
+
+    def _learn(self, rollout: Rollout) -> dict[str, float]:
+        """Several passes over the episodes, a few of them at a time."""
+        config = self.config
+        rewards = self._rewards(rollout)
+        never = torch.zeros_like(rewards, dtype=torch.bool)
+        gains = advantages(rewards, rollout.values, never, config.discount, config.lam)
+        returns = gains + rollout.values[:, :-1]
+        gains = (gains - gains.mean()) / (gains.std() + 1e-6)
+        old = _log_chance(rollout.logits, rollout.actions)
+        order = torch.Generator().manual_seed(self._num_iterations)
+        sums: dict[str, Tensor] = {}
+        steps, batches = 0, max(1, len(rewards) // config.minibatch_episodes)
+        for _ in range(config.epochs):
+            shuffled = torch.randperm(len(rewards), generator=order).to(self._device)
+            for episodes in torch.tensor_split(shuffled, batches):
+                segment: Segment = rollout.segment.select(episodes)
+                verdict: Verdict = self.network(segment, rollout.history)
+                log_chance = _log_chance(verdict.logits, rollout.actions[episodes])
+                log_ratio = log_chance - old[episodes]
+                ratio, gain = log_ratio.exp(), gains[episodes]
+                clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+                policy_loss = -torch.minimum(ratio * gain, clipped * gain).mean()
+                value_loss = (verdict.value - returns[episodes]).square().mean()
+                entropy = _entropy(verdict.logits).mean()
+                loss = (
+                    policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
+                )
+                self._optimizer.zero_grad()
+                torch.autograd.backward(loss)
+                self._peers.average_gradients(self.network)
+                gradient = nn.utils.clip_grad_norm_(self.network.parameters(), config.max_gradient)
+                self._optimizer.step()
+                steps += 1
+                for name, value in {
+                    "policy_loss": policy_loss,
+                    "value_loss": value_loss,
+                    "entropy": entropy,
+                    "gradient": gradient,
+                    "kl": (ratio - 1.0 - log_ratio).mean(),
+                    "clipped": (ratio != clipped).float().mean(),
+                }.items():
+                    sums[name] = sums.get(name, torch.zeros_like(value)) + value.detach()
+        return {name: float(value) / steps for name, value in sums.items()}
+
+    def _rewards(self, rollout: Rollout) -> Tensor:
+        """What decisions earn, on the scale that the value learns. -> (B, L)."""
+        config = self.config
+        if config.objective == "fall":
+            return config.reward_scale * rollout.rewards - config.decision_cost
+        # Differs from STAMP: minus what Table I measures, for each leg as long as it took.
+        lost = rollout.area_std.nanmean(dim=2) - 0.75
+        return -config.reward_scale * lost * rollout.legs_au / 0.1
+
+
+def _log_chance(logits: Tensor, actions: Tensor) -> Tensor:
+    """Log-probability of actions. logits: (B, L, k); actions: (B, L) -> (B, L)."""
+    return logits.log_softmax(-1).gather(2, actions[..., None])[..., 0]
+
+
+def _entropy(logits: Tensor) -> Tensor:
+    """Entropy of the policy, in nats. (B, L, k) -> (B, L)."""
+    log_chances = logits.log_softmax(-1)
+    return -(log_chances.exp() * log_chances.masked_fill(logits.isinf(), 0.0)).sum(-1)

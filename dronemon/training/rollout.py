@@ -1,0 +1,110 @@
+"""Episodes played by a network in the vectorised environment, ready for a training pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dronemon.env import Env, Observation, Setup
+from dronemon.policy import History, PolicyNetwork, Segment, Verdict
+
+Chooser = Callable[[Verdict, Observation], Tensor]
+"""Picks neighbours: the network's verdict and what is observed -> (B,) columns of `neighbours`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rollout:
+    """B episodes of L decisions each, from their start.
+
+    history: T, the frames each decision saw; segment: what the network saw; actions: (B, L) column
+    of the neighbour chosen; logits: (B, L, k) when it was; values: (B, L + 1), the last after the
+    last decision; rewards: (B, L) as the environment gives them; area_std: (B, L, N) around each
+    target after each decision, NaN where there is none; legs_au: (B, L) length of each leg
+    """
+
+    history: int
+    segment: Segment
+    actions: Tensor
+    logits: Tensor
+    values: Tensor
+    rewards: Tensor
+    area_std: Tensor
+    legs_au: Tensor
+
+    @property
+    def unc(self) -> Tensor:
+        """(B,) mean of sigma_bar over targets and the way flown."""
+        return (self.area_std.nanmean(dim=2) * self.legs_au).sum(1) / self.legs_au.sum(1)
+
+
+def play(
+    network: PolicyNetwork,
+    env: Env,
+    setups: Sequence[Setup],
+    *,
+    history: int,
+    num_decisions: int,
+    choose: Chooser,
+) -> Rollout:
+    """Play one episode per setup; the environment must not end one within `num_decisions`."""
+    observation = env.reset(setups)
+    graphs = env.graphs
+    memory = History(network, graphs, history)
+    seen: list[Observation] = []
+    verdicts: list[Verdict] = []
+    actions, rewards, area_std = [], [], []
+    for _ in range(num_decisions):
+        verdict = _judge(memory, observation)
+        action = choose(verdict, observation)
+        step = env.step(observation.neighbours.gather(1, action[:, None])[:, 0])
+        seen.append(observation)
+        verdicts.append(verdict)
+        actions.append(action)
+        rewards.append(step.reward)
+        area_std.append(step.area_std)
+        observation = step.observation
+    lengths_au = torch.stack([o.length_au for o in [*seen, observation]], dim=1)
+    last = _judge(memory, observation)
+    return Rollout(
+        history=history,
+        segment=Segment.of(
+            graphs,
+            torch.stack([o.frames for o in seen], dim=1),
+            seen[-1].target_mask,
+            lengths_au[:, :-1],
+            torch.stack([o.node for o in seen], dim=1),
+            network.config.stride_for(history),
+        ),
+        actions=torch.stack(actions, dim=1),
+        logits=torch.cat([v.logits for v in verdicts], dim=1),
+        values=torch.cat([v.value for v in [*verdicts, last]], dim=1),
+        rewards=torch.stack(rewards, dim=1).float(),
+        area_std=torch.stack(area_std, dim=1).float(),
+        legs_au=lengths_au.diff(dim=1).float(),
+    )
+
+
+def sampled(rng: torch.Generator) -> Chooser:
+    """Choose by the policy's probabilities."""
+
+    def choose(verdict: Verdict, observation: Observation) -> Tensor:
+        del observation
+        chances = verdict.logits[:, 0].softmax(-1)
+        return torch.multinomial(chances, 1, generator=rng)[:, 0]
+
+    return choose
+
+
+def greedy(verdict: Verdict, observation: Observation) -> Tensor:
+    """Choose the greatest logit, as in flight."""
+    del observation
+    return verdict.logits[:, 0].argmax(-1)
+
+
+def _judge(memory: History, observation: Observation) -> Verdict:
+    return memory.decide(
+        observation.frames, observation.target_mask, observation.length_au, observation.node
+    )
