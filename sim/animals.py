@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -82,11 +83,12 @@ class Sprite:
     body_height_m: float
 
 
-def draw_sprites(appearance: str) -> list[Sprite]:
+@cache
+def draw_sprites(appearance: str) -> tuple[Sprite, ...]:
     """The NUM_PHASES sprites of one stride."""
     form, coat = _FORMS[appearance], _COATS[appearance]
     canvas = _Canvas.around(form)
-    return [_draw(form, coat, canvas, i / NUM_PHASES) for i in range(NUM_PHASES)]
+    return tuple(_draw(form, coat, canvas, i / NUM_PHASES) for i in range(NUM_PHASES))
 
 
 def stride_m(appearance: str) -> float:

@@ -7,6 +7,8 @@ looks the same. All fields are built in the Fourier domain, which makes them per
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 import scipy.fft
@@ -31,25 +33,29 @@ _BUSH = (38, 74, 46)
 _STONE = (138, 142, 146)
 
 
-def draw_ground(rng: np.random.Generator) -> ImageArray:
+@lru_cache(maxsize=1)
+def draw_ground(seed: int) -> ImageArray:
     """One tile of ground, its rows from north to south and its columns from west to east.
 
     -> (TILE_PX, TILE_PX, 3) uint8 BGR
     """
+    rng = np.random.default_rng(seed)
     height = _field(rng, slope=2.6)
     moisture = _field(rng, slope=2.2)
     tufts = _field(rng, slope=1.1)
     grain = rng.standard_normal((TILE_PX, TILE_PX), np.float32)
 
-    image = _blend(_plain(_MEADOW), _LUSH, _step(moisture, 0.2, 1.6))
-    image = _blend(image, _DRY, _step(-moisture, 0.1, 1.7))
-    image = _blend(image, _SOIL, 0.85 * _step(height - 0.25 * tufts, 1.75, 2.15))
+    image = np.empty((3, TILE_PX, TILE_PX), np.float32)
+    image[:] = np.array(_MEADOW, np.float32)[:, None, None]
+    _blend(image, _LUSH, _step(moisture, 0.2, 1.6))
+    _blend(image, _DRY, _step(-moisture, 0.1, 1.7))
+    _blend(image, _SOIL, 0.85 * _step(height - 0.25 * tufts, 1.75, 2.15))
     _draw_trail(image, _field(rng, slope=3.4), tufts)
     _draw_track(image, _field(rng, slope=4.2), tufts)
-    image *= (1.0 + 0.045 * tufts + 0.035 * grain + 0.03 * height)[..., None]
+    image *= 1.0 + 0.045 * tufts + 0.035 * grain + 0.03 * height
     _draw_bushes(image, rng, moisture)
     _draw_stones(image, rng)
-    return np.clip(image, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.merge([np.clip(plane, 0, 255).astype(np.uint8) for plane in image]))
 
 
 def pyramid(tile: ImageArray, num_levels: int) -> list[ImageArray]:
@@ -72,18 +78,16 @@ def _field(rng: np.random.Generator, *, slope: float) -> _Field:
     return np.asarray(field / field.std(), np.float32)
 
 
-def _plain(colour: tuple[int, int, int]) -> _Field:
-    return np.broadcast_to(np.array(colour, np.float32), (TILE_PX, TILE_PX, 3)).copy()
-
-
 def _step(field: _Field, low: float, high: float) -> _Field:
     """0 below low, 1 above high, smooth between."""
     t: _Field = np.clip((field - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
-def _blend(image: _Field, colour: tuple[int, int, int], weight: _Field) -> _Field:
-    return image + weight[..., None] * (np.array(colour, np.float32) - image)
+def _blend(image: _Field, colour: tuple[float, float, float], weight: _Field) -> None:
+    """Mix a colour into an image of three planes, plane by plane to spare memory."""
+    for plane, value in zip(image, colour, strict=True):
+        plane += weight * (np.float32(value) - plane)
 
 
 def _level_set_distance_m(field: _Field) -> _Field:
@@ -96,13 +100,13 @@ def _level_set_distance_m(field: _Field) -> _Field:
 def _draw_trail(image: _Field, field: _Field, tufts: _Field) -> None:
     """A footpath of trodden soil, half a metre wide, with worn edges."""
     distance_m = _level_set_distance_m(field) + 0.12 * tufts
-    image[:] = _blend(image, _SOIL, 0.7 * _step(-distance_m, -0.7, -0.15))
+    _blend(image, _SOIL, 0.7 * _step(-distance_m, -0.7, -0.15))
 
 
 def _draw_track(image: _Field, field: _Field, tufts: _Field) -> None:
     """A vehicle track: two ruts 1.8 m apart with grass between them."""
     distance_m = np.abs(_level_set_distance_m(field) - 0.9) + 0.06 * tufts
-    image[:] = _blend(image, _RUT, 0.8 * _step(-distance_m, -0.5, -0.1))
+    _blend(image, _RUT, 0.8 * _step(-distance_m, -0.5, -0.1))
 
 
 def _draw_bushes(image: _Field, rng: np.random.Generator, moisture: _Field) -> None:
@@ -116,9 +120,10 @@ def _draw_bushes(image: _Field, rng: np.random.Generator, moisture: _Field) -> N
         r = np.hypot(x, y) / (radius_px * wobble)
         shadow = _step(-np.hypot(x - 0.4 * radius_px, y + 0.4 * radius_px) / radius_px, -1.15, -0.8)
         leaf = 0.85 + 0.3 * rng.random(r.shape, np.float32) + 0.22 * (y - x) / radius_px
-        patch = image[rows, columns] * (1.0 - 0.45 * shadow[..., None])
-        crown = np.array(_BUSH, np.float32) * leaf[..., None]
-        image[rows, columns] = patch + _step(-r, -1.05, -0.85)[..., None] * (crown - patch)
+        crown = _step(-r, -1.05, -0.85)
+        for plane, value in zip(image, _BUSH, strict=True):
+            patch = plane[rows, columns] * (1.0 - 0.45 * shadow)
+            plane[rows, columns] = patch + crown * (value * leaf - patch)
 
 
 def _draw_stones(image: _Field, rng: np.random.Generator) -> None:
@@ -127,10 +132,10 @@ def _draw_stones(image: _Field, rng: np.random.Generator) -> None:
         radius_px = rng.uniform(0.15, 0.45) / TEXEL_M
         rows, columns, y, x = _patch(row, column, radius_px + 3.0)
         r = np.hypot(x, y * rng.uniform(1.0, 1.5))
-        light = 1.0 + 0.12 * (y - x) / radius_px
-        stone = np.array(_STONE, np.float32) * np.clip(light, 0.7, 1.25)[..., None]
-        weight = np.clip(radius_px - r + 0.5, 0.0, 1.0)[..., None]
-        image[rows, columns] += weight * (stone - image[rows, columns])
+        light = np.clip(1.0 + 0.12 * (y - x) / radius_px, 0.7, 1.25)
+        weight = np.clip(radius_px - r + 0.5, 0.0, 1.0)
+        for plane, value in zip(image, _STONE, strict=True):
+            plane[rows, columns] += weight * (value * light - plane[rows, columns])
 
 
 def _patch(

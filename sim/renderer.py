@@ -34,12 +34,12 @@ class Renderer:
     """Draws pictures of scenes. The same seed and the same scene give the same picture."""
 
     def __init__(self, camera: CameraModel, seed: int) -> None:
-        ground_rng, noise_rng = np.random.default_rng(seed).spawn(2)
         self._camera = camera
-        self._tiles = pyramid(draw_ground(ground_rng), 6)
+        self._tiles = pyramid(draw_ground(seed), 6)
         self._sprites = {name: draw_sprites(name) for name in APPEARANCES}
         shape = (camera.height_px + 64, camera.width_px + 64, 3)
-        self._noise = np.rint(noise_rng.normal(128.0, _NOISE_STD, shape)).astype(np.uint8)
+        noise = np.random.default_rng((seed, 1)).normal(128.0, _NOISE_STD, shape)
+        self._noise = np.rint(noise).astype(np.uint8)
 
     def render(self, scene: Scene) -> ImageArray:
         """The picture of a scene. -> (height, width, 3) uint8 BGR"""
