@@ -123,10 +123,11 @@ def _error(path: Path, root: yaml.Node | None, key_path: KeyPath, message: str) 
     for key in key_path:
         found = _child(node, key)
         if found is None:
-            # A missing key has no line; a union's branch name, also in the path, is no key.
-            if isinstance(key, str) and isinstance(node, yaml.MappingNode):
+            # Not in the file; a union's branch, such as tuple[...], is in the path but is no key.
+            if isinstance(key, str) and key.isidentifier():
                 keys.append(key)
-            break
+            node = None
+            continue
         keys.append(f"[{key}]" if isinstance(key, int) else key)
         line, node = found
     name = ".".join(str(key) for key in keys).replace(".[", "[") or "mission"

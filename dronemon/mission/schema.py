@@ -150,10 +150,23 @@ class Camera(Section):
 
     width_px: int = Field(640, ge=64, le=8192)
     height_px: int = Field(480, ge=64, le=8192)
+    url: str = Field(
+        "simulated",
+        description="`simulated`, or where pictures come from: rtsp://..., udp://..., a video file "
+        "or the number of a local camera.",
+    )
+    latency_s: float = Field(
+        0.0, ge=0.0, le=5.0, description="Age of a picture when it arrives; not for the simulated."
+    )
     horizontal_fov_deg: float = Field(
         90.0, ge=10.0, le=150.0, description="Angle of view from the left to the right edge."
     )
     timeout_s: float = Field(5.0, gt=0.0, le=60.0, description="Wall-clock wait for a picture.")
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the simulator draws the pictures."""
+        return self.url == "simulated"
 
     @property
     def model(self) -> CameraModel:

@@ -1,0 +1,59 @@
+"""What the outside may ask of a flight, and what it is told while it lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+Level = Literal["INFO", "WARN", "ERROR"]
+
+
+class Interrupts:
+    """What a person asked for: the first request brings the drone home, the second lands it now."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self.on_request: Callable[[], None] | None = None
+        """Called at every request; a step that can be left at once sets it."""
+
+    def request(self) -> None:
+        """Ask once more."""
+        self._count += 1
+        if self.on_request is not None:
+            self.on_request()
+
+    @property
+    def return_home(self) -> bool:
+        """Whether to return and land."""
+        return self._count >= 1
+
+    @property
+    def land_now(self) -> bool:
+        """Whether to land where the drone is."""
+        return self._count >= 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightStatus:
+    """A line of progress. since_seen_s: seconds since each target was seen; None: never."""
+
+    phase: str
+    flown_au: float = 0.0
+    horizon_au: float = 0.0
+    left_s: float = 0.0
+    speed_m_s: float = 0.0
+    battery: float | None = None
+    since_seen_s: Mapping[str, float | None]
+
+
+class Audience(Protocol):
+    """Whoever watches the flight from outside."""
+
+    def status(self, status: FlightStatus) -> None:
+        """Take a line of progress; comes about once a second of vehicle time."""
+        ...
+
+    def event(self, kind: str, text: str, level: Level) -> None:
+        """Take something that happened."""
+        ...

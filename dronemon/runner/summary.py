@@ -1,0 +1,131 @@
+"""What a flight came to: how it was flown and, where a simulator knows the truth, how well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+
+from dronemon.belief import Matern32, ObservationStore, fit
+from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
+from dronemon.belief.store import WINDOW_TIME_SCALES
+from dronemon.runner.flight import FlightResult
+from dronemon.runner.patrol import Tally
+from dronemon.types import FloatArray
+
+Summary = dict[str, object]
+
+
+def summarise(
+    result: FlightResult,
+    *,
+    truth: Mapping[float, FloatArray],
+    priors_au: FloatArray,
+    side_m: float,
+    target_names: tuple[str, ...],
+    kernel: Matern32,
+) -> Summary:
+    """Every figure of a flight by name, JSON values only.
+
+    truth: capture time -> (N, 2) au true positions; empty where there is no simulator.
+    priors_au: (N, 2) au, NaN where unknown.
+    """
+    summary: Summary = {
+        "is_landed": result.is_landed,
+        "landing_error_m": result.landing_error_m,
+        "error": str(result.error) if result.error else None,
+    }
+    tally = result.patrol.tally if result.patrol else None
+    if tally is not None:
+        summary |= _flown(tally, side_m, target_names)
+        summary |= _score(tally, truth, priors_au, kernel)
+    return summary
+
+
+def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Summary:
+    seen = np.array([m.seen for m in tally.measurements], dtype=bool)
+    seen = seen.reshape(-1, len(target_names))
+    spacing_m = np.diff(tally.picture_flown_m, prepend=0.0)
+    return {
+        "distance_m": tally.flown_m,
+        "distance_au": tally.flown_m / side_m,
+        "patrol_s": tally.duration_s,
+        "mean_speed_m_s": tally.flown_m / tally.duration_s if tally.duration_s else None,
+        "cross_track_p95_m": _percentile(tally.cross_track_m, 95),
+        "cross_track_p95_au": _percentile(np.array(tally.cross_track_m) / side_m, 95),
+        "pictures": len(tally.measurements),
+        "picture_spacing_m": _percentile(spacing_m, 50),
+        "picture_spacing_error": _percentile(np.abs(spacing_m / (0.1 * side_m) - 1.0), 50),
+        "decisions": len(tally.decision_ms),
+        "decision_p50_ms": _percentile(tally.decision_ms, 50),
+        "decision_p99_ms": _percentile(tally.decision_ms, 99),
+        "observations": dict(zip(target_names, seen.sum(axis=0).tolist(), strict=True)),
+    }
+
+
+def _score(
+    tally: Tally, truth: Mapping[float, FloatArray], priors_au: FloatArray, kernel: Matern32
+) -> Summary:
+    """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth."""
+    true_au = [truth.get(round(time_s, 6)) for time_s in tally.times_s]
+    if not tally.measurements or any(positions is None for positions in true_au):
+        return {"unc": None, "unc_std": None, "jsd": None, "min_ob": None}
+    num_targets = len(priors_au)
+    window_au = WINDOW_TIME_SCALES * kernel.length_scales_au[2]
+    store = ObservationStore(1, num_targets, window_au=window_au)
+    is_known = np.isfinite(priors_au).all(axis=-1)
+    store.add_prior(torch.tensor(is_known)[None], torch.tensor(np.nan_to_num(priors_au))[None])
+    grid = evaluation_grid()
+    unc, jsd = [], []
+    for measurement, positions in zip(tally.measurements, true_au, strict=True):
+        time = torch.tensor([measurement.time_au], dtype=torch.float64)
+        store.add(
+            time,
+            torch.tensor(measurement.agent_au)[None],
+            torch.tensor(measurement.seen)[None],
+            torch.tensor(measurement.target_au)[None],
+        )
+        posterior = fit(*store.window(), kernel=kernel)  # (1, N)
+        target_au = torch.tensor(positions)[None]
+        now = time.expand(1, num_targets)
+        unc.append(area_std(posterior, target_au, now)[0].numpy())
+        query = torch.cat([grid, time.expand(len(grid), 1)], dim=-1)
+        mean = posterior.mean(query.expand(1, num_targets, *query.shape))
+        jsd.append(jensen_shannon(mean, target_au)[0].numpy())
+    seen = np.array([m.seen for m in tally.measurements])
+    return {
+        "unc": float(np.mean(unc)),
+        "unc_std": float(np.std(unc, axis=1).mean()),
+        "jsd": float(np.mean(jsd)),
+        "min_ob": int(seen.sum(axis=0).min()),
+    }
+
+
+def _percentile(values: FloatArray | list[float], percent: float) -> float | None:
+    return float(np.percentile(values, percent)) if len(values) else None
+
+
+def facts(outcome: str, summary: Summary) -> dict[str, str]:
+    """The summary in words, for a table."""
+
+    def show(name: str, form: str, *keys: str) -> None:
+        values = [summary.get(key) for key in keys]
+        if all(value is not None for value in values):
+            table[name] = form.format(*values)
+
+    table = {"outcome": outcome}
+    show("error", "{}", "error")
+    show("landing", "{:.1f} m from home", "landing_error_m")
+    show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
+    show("mean ground speed", "{:.2f} m/s", "mean_speed_m_s")
+    show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")
+    show("pictures", "{}, {:.2f} m apart", "pictures", "picture_spacing_m")
+    show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")
+    show("Unc (spread)", "{:.3f} ({:.3f})", "unc", "unc_std")
+    show("JSD", "{:.3f}", "jsd")
+    show("MinOb", "{}", "min_ob")
+    observations = summary.get("observations")
+    if isinstance(observations, dict):
+        table["observations"] = ", ".join(f"{name} {count}" for name, count in observations.items())
+    return table

@@ -1,0 +1,122 @@
+"""The simulator as a supervised child process: started, listened to, ended with its parent.
+
+The application meets it as it meets a drone: over MAVLink and a camera stream on loopback.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import sys
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dronemon.errors import VehicleError
+from dronemon.types import FloatArray
+
+START_LIMIT_S = 30.0
+STOP_LIMIT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulator:
+    """A running simulator.
+
+    vehicle_url: where its autopilot is heard, None if it follows another one; camera_url: its
+    pictures; targets_au: (N, 2) where its animals start; truth: file it writes the truth to.
+    """
+
+    vehicle_url: str | None
+    camera_url: str
+    targets_au: FloatArray
+    truth: Path
+
+
+@contextlib.asynccontextmanager
+async def simulator(
+    mission_file: Path, *, truth: Path, log: Path, follow: str | None, extra: Sequence[str] = ()
+) -> AsyncIterator[Simulator]:
+    """Run `python -m sim` on free loopback ports while the body runs.
+
+    follow: MAVLink URL of a vehicle whose pose and clock the simulated camera follows, instead of
+    flying one. Raises VehicleError if it does not start or ends early.
+    """
+    port = _free_udp_port()
+    where = ["--follow", follow] if follow else ["--mavlink-out", f"127.0.0.1:{port}"]
+    command = ["-m", "sim", str(mission_file), *where, "--truth", str(truth), "--parent", *extra]
+    with log.open("wb") as log_file:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            *command,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=log_file,
+            start_new_session=True,  # Ctrl-C is for the application: it brings the drone home first
+        )
+        try:
+            ready = await _ready_line(process, log)
+            yield Simulator(
+                vehicle_url=None if follow else f"udpin://127.0.0.1:{port}",
+                camera_url=ready["camera"],
+                targets_au=np.array(ready["targets_au"], dtype=np.float64),
+                truth=truth,
+            )
+        finally:
+            await _stop(process)
+
+
+async def _ready_line(process: asyncio.subprocess.Process, log: Path) -> dict[str, str]:
+    assert process.stdout is not None
+    try:
+        async with asyncio.timeout(START_LIMIT_S):
+            line = await process.stdout.readline()
+        ready: dict[str, str] = json.loads(line)
+    except TimeoutError as exc:
+        raise VehicleError(
+            f"the simulator did not start within {START_LIMIT_S:g} s; see {log}"
+        ) from exc
+    except ValueError as exc:
+        raise VehicleError(f"the simulator did not start: {_last_words(log)}; see {log}") from exc
+    return ready
+
+
+def _last_words(log: Path) -> str:
+    lines = log.read_text(errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it said nothing"
+
+
+async def _stop(process: asyncio.subprocess.Process) -> None:
+    """End it by closing its input, then by signals."""
+    assert process.stdin is not None
+    process.stdin.close()
+    for end in (process.terminate, process.kill):
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(STOP_LIMIT_S):
+                await process.wait()
+                return
+        with contextlib.suppress(ProcessLookupError):
+            end()
+    await process.wait()
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def read_truth(path: Path) -> dict[float, FloatArray]:
+    """Where the simulator had its animals at each picture: capture time -> (N, 2) au."""
+    truth: dict[float, FloatArray] = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            with contextlib.suppress(ValueError):  # the last line, if the simulator was killed
+                record = json.loads(line)
+                truth[round(record["time_s"], 6)] = np.array(record["targets_au"])
+    return truth

@@ -1,0 +1,137 @@
+"""Whole flights: the real program, MAVSDK, UDP, pictures, Rerun; only the drone is simulated."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+class Flight:
+    """`dronemon fly` as a child process."""
+
+    def __init__(self, out: Path, *options: str) -> None:
+        self.out = out
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "dronemon.cli", "fly", "--out", str(out), *options],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    def wait_for_event(self, kind: str) -> None:
+        deadline = time.monotonic() + 60
+        while not any(event["kind"] == kind for event in self.lines("events")):
+            assert self.process.poll() is None, self.process.communicate()[0]
+            assert time.monotonic() < deadline, f"no event {kind!r}"
+            time.sleep(0.02)
+
+    def finish(self) -> tuple[int, str]:
+        output, _ = self.process.communicate(timeout=100)
+        return self.process.returncode, output
+
+    def lines(self, name: str) -> list[dict]:
+        path = self.out / f"{name}.jsonl"
+        if not path.exists():
+            return []
+        return [json.loads(line) for line in path.read_text().splitlines(keepends=True)]
+
+    def summary(self) -> dict:
+        return json.loads((self.out / "summary.json").read_text())
+
+
+@pytest.fixture
+def fly(tmp_path: Path):
+    flights: list[Flight] = []
+
+    def start(*options: str) -> Flight:
+        flights.append(Flight(tmp_path / f"run{len(flights)}", "--speed-up", "20", *options))
+        return flights[-1]
+
+    yield start
+    for flight in flights:
+        flight.process.kill()
+        flight.process.communicate()
+
+
+def _verify(flight: Flight) -> None:
+    rerun = Path(sys.executable).parent / "rerun"
+    done = subprocess.run(
+        [rerun, "rrd", "verify", flight.out / "flight.rrd"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
+    flight = fly("--mission", "missions/animals.yaml", "--planner", "tsp", "--horizon-au", "2")
+    code, output = flight.finish()
+    assert code == 0, output
+    summary = flight.summary()
+    assert summary["outcome"] == "completed"
+    assert summary["is_landed"]
+    assert summary["landing_error_m"] < 3.0
+    assert summary["distance_au"] == pytest.approx(2.0, abs=0.05)
+    assert summary["mean_speed_m_s"] > 0.92 * 5.0
+    assert summary["cross_track_p95_au"] < 0.02
+    assert summary["picture_spacing_error"] < 0.02
+    assert len(flight.lines("observations")) in {19, 20}
+    assert 0.3 < summary["unc"] < 1.0
+    assert 0.0 < summary["jsd"] < 0.7
+    kinds = [event["kind"] for event in flight.lines("events")]
+    story = ["ready", "armed", "airborne", "patrol", "homecoming", "disarmed", "outcome"]
+    assert [kind for kind in kinds if kind in story] == story
+    assert "Unc" in output
+    _verify(flight)
+
+
+def test_observations_are_where_the_animals_are(fly: Callable[..., Flight]):
+    """The whole chain of projections: a sign error anywhere puts animals metres away."""
+    flight = fly("--mission", "animals", "--planner", "tsp", "--horizon-au", "2", "--seed", "3")
+    assert flight.finish()[0] == 0
+    truth = {round(t["time_s"], 6): t["targets_au"] for t in flight.lines("truth")}
+    errors_m = [
+        200.0 * max(abs(a - b) for a, b in zip(target["position_au"], true_au, strict=True))
+        for line in flight.lines("observations")
+        for target, true_au in zip(
+            line["targets"].values(), truth[round(line["time_s"], 6)], strict=True
+        )
+        if target["seen"]
+    ]
+    assert len(errors_m) >= 3
+    assert max(errors_m) < 3.0
+    assert sorted(errors_m)[len(errors_m) // 2] < 1.0
+
+
+def test_ctrl_c_returns_and_lands_and_keeps_the_record(fly: Callable[..., Flight]):
+    flight = fly("--planner", "lawnmower")
+    flight.wait_for_event("patrol")
+    flight.process.send_signal(signal.SIGINT)
+    code, output = flight.finish()
+    assert code == 130, output
+    summary = flight.summary()
+    assert summary["outcome"] == "interrupted"
+    assert summary["is_landed"]
+    assert summary["landing_error_m"] < 3.0
+    _verify(flight)
+
+
+def test_ctrl_c_twice_lands_on_the_spot(fly: Callable[..., Flight]):
+    flight = fly("--planner", "lawnmower")
+    flight.wait_for_event("patrol")
+    flight.process.send_signal(signal.SIGINT)
+    flight.wait_for_event("homecoming")
+    flight.process.send_signal(signal.SIGINT)
+    code, output = flight.finish()
+    assert code == 130, output
+    assert flight.summary()["is_landed"]
+    assert "landing here" in output
+    _verify(flight)
