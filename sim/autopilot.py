@@ -107,8 +107,14 @@ class Autopilot:
         self._offboard = setpoint
         self._offboard_at_s = self.time_s
 
+    def request_mode(self, mode: Mode) -> bool:
+        """Ask for a mode. -> whether it may fly."""
+        self._update_commander()
+        return self.commander.request_mode(mode)
+
     def arm(self) -> bool:
         """Arm, if allowed. Home becomes the place where it is armed."""
+        self._update_commander()
         was_armed = self.commander.is_armed
         if not self.commander.arm():
             return False
@@ -123,7 +129,7 @@ class Autopilot:
 
     def reposition(self, target: Vector3, yaw_rad: float, speed_m_s: float) -> bool:
         """Hold at another place. -> whether hold may fly."""
-        if not self.commander.request_mode(Mode.LOITER):
+        if not self.request_mode(Mode.LOITER):
             return False
         self._update_commander()
         self.navigator.hold_at(target, yaw_rad, speed_m_s)

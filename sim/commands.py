@@ -56,7 +56,7 @@ def execute(autopilot: Autopilot, command: Command) -> int:
 
 
 def _mode(autopilot: Autopilot, mode: Mode) -> int:
-    return ACCEPTED if autopilot.commander.request_mode(mode) else REJECTED
+    return ACCEPTED if autopilot.request_mode(mode) else REJECTED
 
 
 def _set_mode(autopilot: Autopilot, params: tuple[float, ...]) -> int:

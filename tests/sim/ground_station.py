@@ -67,8 +67,11 @@ class GroundStation(asyncio.DatagramProtocol):
             await asyncio.sleep(0)
 
     def send(self, message: Any) -> None:
+        self.send_bytes(message.pack(self._mav))
+
+    def send_bytes(self, data: bytes) -> None:
         assert self._vehicle is not None, "nothing heard from the vehicle yet"
-        self._transport.sendto(message.pack(self._mav), self._vehicle)
+        self._transport.sendto(data, self._vehicle)
 
     def send_heartbeat(self) -> None:
         self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))

@@ -35,7 +35,7 @@ def fly(autopilot: Autopilot, seconds: float, offboard: Setpoint | None = None) 
 def take_off(autopilot: Autopilot, height_m: float) -> None:
     autopilot.parameters.set("MIS_TAKEOFF_ALT", height_m)
     assert autopilot.arm()
-    assert autopilot.commander.request_mode(Mode.TAKEOFF)
+    assert autopilot.request_mode(Mode.TAKEOFF)
     fly(autopilot, 8.0 + height_m / 1.4)
 
 
@@ -72,7 +72,7 @@ def test_idle_vehicle_disarms_itself(vehicle: Autopilot) -> None:
 
 
 def test_offboard_without_setpoints_prevents_arming(vehicle: Autopilot) -> None:
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     assert not vehicle.arm()
     fly(vehicle, 0.5, hover(vehicle))
     assert vehicle.arm()
@@ -80,14 +80,14 @@ def test_offboard_without_setpoints_prevents_arming(vehicle: Autopilot) -> None:
 
 def test_offboard_without_setpoints_is_refused_in_the_air(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
-    assert not vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert not vehicle.request_mode(Mode.OFFBOARD)
     assert vehicle.commander.mode is Mode.LOITER
 
 
 def test_offboard_lifts_off_by_itself(vehicle: Autopilot) -> None:
     up = Setpoint(position=(HOME_NED_M[0], HOME_NED_M[1], HOME_NED_M[2] - 8.0))
     fly(vehicle, 0.5, up)
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     assert vehicle.arm()
     fly(vehicle, 15.0, up)
     assert height_m(vehicle) == pytest.approx(8.0, abs=1.0)
@@ -97,7 +97,7 @@ def test_lost_setpoints_return_the_vehicle_and_new_ones_bring_it_back(vehicle: A
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     fly(vehicle, 2.0, target)
     assert vehicle.commander.mode is Mode.OFFBOARD
     fly(vehicle, 0.85)
@@ -114,10 +114,10 @@ def test_mode_change_in_the_failsafe_ends_it_for_good(vehicle: Autopilot) -> Non
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     fly(vehicle, 2.0)
     assert vehicle.commander.mode is Mode.RTL
-    assert vehicle.commander.request_mode(Mode.LOITER)
+    assert vehicle.request_mode(Mode.LOITER)
     fly(vehicle, 1.0, target)
     assert vehicle.commander.mode is Mode.LOITER
 
@@ -126,7 +126,7 @@ def test_loss_time_is_a_parameter(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
     vehicle.parameters.set("COM_OF_LOSS_T", 4.0)
     fly(vehicle, 0.5, hover(vehicle))
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     fly(vehicle, 3.5)
     assert vehicle.commander.mode is Mode.OFFBOARD
 
@@ -135,7 +135,7 @@ def test_velocity_setpoint_is_flown(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
     east = Setpoint(velocity=(0.0, 4.0, 0.0), yaw_rad=math.pi / 2.0)
     fly(vehicle, 0.3, east)
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     fly(vehicle, 8.0, east)
     assert vehicle.body.velocity[1] == pytest.approx(4.0, abs=0.3)
     assert vehicle.body.yaw == pytest.approx(math.pi / 2.0, abs=0.05)
@@ -147,7 +147,7 @@ def test_return_climbs_comes_home_lands_and_disarms(vehicle: Autopilot) -> None:
     assert vehicle.reposition(away, math.nan, 0.0)
     fly(vehicle, 15.0)
     assert vehicle.body.position[0] == pytest.approx(away[0], abs=1.0)
-    assert vehicle.commander.request_mode(Mode.RTL)
+    assert vehicle.request_mode(Mode.RTL)
     fly(vehicle, 15.0)
     assert height_m(vehicle) == pytest.approx(30.0, abs=1.0)
     fly(vehicle, 60.0)
@@ -167,7 +167,7 @@ def test_cruise_speed_is_a_parameter(vehicle: Autopilot) -> None:
 
 def test_landing_is_slow_near_the_ground_and_prevents_arming(vehicle: Autopilot) -> None:
     take_off(vehicle, 12.0)
-    assert vehicle.commander.request_mode(Mode.LAND)
+    assert vehicle.request_mode(Mode.LAND)
     while height_m(vehicle) > 3.0:
         fly(vehicle, 0.1)
     assert vehicle.body.velocity[2] == pytest.approx(0.7, abs=0.15)
@@ -175,7 +175,7 @@ def test_landing_is_slow_near_the_ground_and_prevents_arming(vehicle: Autopilot)
     assert vehicle.is_landed
     assert not vehicle.commander.is_armed
     assert not vehicle.arm()
-    assert vehicle.commander.request_mode(Mode.LOITER)
+    assert vehicle.request_mode(Mode.LOITER)
     assert vehicle.arm()
 
 
@@ -194,7 +194,7 @@ def test_critical_battery_holds_five_seconds_then_lands(vehicle: Autopilot) -> N
     fly(vehicle, 1.0)
     assert vehicle.commander.charge is Charge.LOW
     assert not vehicle.commander.is_in_failsafe
-    assert vehicle.commander.request_mode(Mode.RTL)
+    assert vehicle.request_mode(Mode.RTL)
     vehicle.battery_level = 0.06
     fly(vehicle, 4.5)
     assert vehicle.commander.mode is Mode.LOITER
@@ -213,7 +213,7 @@ def test_gps_loss_ends_offboard_until_it_returns(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     vehicle.has_gps = False
     fly(vehicle, 5.5, target)
     assert vehicle.commander.mode is Mode.OFFBOARD
@@ -230,7 +230,7 @@ def test_pilot_holds_against_setpoints(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.commander.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Mode.OFFBOARD)
     vehicle.commander.take_over()
     fly(vehicle, 5.0, Setpoint(velocity=(5.0, 0.0, 0.0)))
     assert vehicle.commander.mode is Mode.POSCTL
