@@ -1,0 +1,360 @@
+"""Where each target may be: particles that walk as targets do, corrected by every measurement.
+
+A target walks straight at a constant speed, unknown and the same for all targets, and turns now
+and then. A sighting puts all its particles at one place, a miss removes those that would have been
+seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from dronemon.mission.schema import SENSOR_RADIUS_AU
+from dronemon.types import FloatArray, IntArray, Measurement
+
+TURNS_PER_AU = 8.5
+"""How often a target turns per length walked, on development paths (seeds 10000 to 10059)."""
+TURN_QUANTILES_RAD = np.radians(
+    [0.0, 11.5, 23.0, 34.7, 46.3, 58.2, 71.2, 85.2, 100.5, 118.8, 165.0]
+)
+"""Size of a turn at evenly spaced probabilities 0 to 1, on the same paths."""
+_TRIES = 8
+_REGENERATIONS = 1500
+"""Most walks tried anew for one target and measurement; bounds the time of a decision."""
+_FEW = 0.15
+"""Share of surviving particles below which lost ones are walked anew instead of copied."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionSettings:
+    """What is assumed of targets, and how closely they are followed.
+
+    num_particles: of each target; turns_per_au: per length walked; noise_au: of a displacement
+    between two sightings; trail_radius_au: targets seldom come this close to their own trail;
+    trail_doubt: chance that a particle which did is removed, at each miss
+    """
+
+    num_particles: int = 240
+    turns_per_au: float = TURNS_PER_AU
+    noise_au: float = 0.0015
+    trail_radius_au: float = 0.08
+    trail_doubt: float = 0.5
+
+
+@njit(cache=True, fastmath=True)
+def _turned(heading, quantiles, rng):  # type: ignore[no-untyped-def]
+    """A new heading after a random turn to either side."""
+    place = rng.random() * (quantiles.shape[0] - 1)
+    low = int(place)
+    size = quantiles[low] + (quantiles[low + 1] - quantiles[low]) * (place - low)
+    return heading + size if rng.random() < 0.5 else heading - size
+
+
+@njit(cache=True, fastmath=True)
+def _step(x, y, heading, distance, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
+    """Walk one target a short distance inside the square. -> x, y, heading."""
+    if rng.random() < 1.0 - math.exp(-turns_per_au * distance):
+        heading = _turned(heading, quantiles, rng)
+    for _ in range(_TRIES):
+        next_x = x + distance * math.cos(heading)
+        next_y = y + distance * math.sin(heading)
+        if 0.0 <= next_x <= 1.0 and 0.0 <= next_y <= 1.0:
+            return next_x, next_y, heading
+        heading = _turned(heading, quantiles, rng)
+    return x, y, heading
+
+
+@njit(cache=True, fastmath=True)
+def walk(walkers, speeds, duration, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
+    """Walk particles on, in place. walkers: (3, M) x, y, heading; speeds: (M,); duration: au."""
+    for j in range(walkers.shape[1]):
+        walkers[0, j], walkers[1, j], walkers[2, j] = _step(
+            walkers[0, j],
+            walkers[1, j],
+            walkers[2, j],
+            speeds[j] * duration,
+            turns_per_au,
+            quantiles,
+            rng,
+        )
+
+
+@njit(cache=True, fastmath=True)
+def refuted(walkers, agent, old_trail, trail_radius, trail_doubt, rng):  # type: ignore[no-untyped-def]
+    """Particles that a miss removes: in view, or (perhaps) on the target's own trail. -> (K,)."""
+    out = np.empty(walkers.shape[1], np.int64)
+    count = 0
+    for j in range(walkers.shape[1]):
+        x, y = walkers[0, j], walkers[1, j]
+        gone = (x - agent[0]) ** 2 + (y - agent[1]) ** 2 < SENSOR_RADIUS_AU**2
+        for m in range(0 if gone else old_trail.shape[0]):
+            if (x - old_trail[m, 0]) ** 2 + (y - old_trail[m, 1]) ** 2 < trail_radius**2:
+                gone = rng.random() < trail_doubt
+                break
+        if gone:
+            out[count] = j
+            count += 1
+    return out[:count]
+
+
+@njit(cache=True, fastmath=True)
+def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
+    """Replace particles by walks from the last sighting that no miss since refutes. -> how many.
+
+    lost: (K,) their indices; origin: time, x, y, heading, chance that the heading is right;
+    misses: (S, 3) time, x, y since
+    """
+    done = 0
+    for _ in range(_REGENERATIONS):
+        if done == lost.shape[0]:
+            break
+        j = lost[done]
+        time, x, y, heading = origin[0], origin[1], origin[2], origin[3]
+        if rng.random() >= origin[4]:
+            heading = rng.random() * 2.0 * math.pi
+        kept = True
+        for m in range(misses.shape[0]):
+            distance = speeds[j] * (misses[m, 0] - time)
+            time = misses[m, 0]
+            x, y, heading = _step(x, y, heading, distance, turns_per_au, quantiles, rng)
+            if (x - misses[m, 1]) ** 2 + (y - misses[m, 2]) ** 2 < SENSOR_RADIUS_AU**2:
+                kept = False
+                break
+        if kept:
+            walkers[0, j], walkers[1, j], walkers[2, j] = x, y, heading
+            done += 1
+    return done
+
+
+class SpeedBelief:
+    """Posterior of the targets' common speed, from displacements between sightings."""
+
+    def __init__(self, motion: MotionSettings) -> None:
+        self._motion = motion
+        self._grid = np.geomspace(0.005, 0.3, 80)
+        self._log_likelihood = np.zeros_like(self._grid)
+
+    @property
+    def _weights(self) -> FloatArray:
+        weights = np.exp(self._log_likelihood - self._log_likelihood.max())
+        normalised: FloatArray = weights / weights.sum()
+        return normalised
+
+    @property
+    def mean(self) -> float:
+        """Expected speed over the agent's."""
+        return float(self._weights @ self._grid)
+
+    def observe(self, displacement_au: float, duration_au: float) -> None:
+        """Take two sightings of one target: it walked straight, or turned and came less far."""
+        walked = self._grid * duration_au
+        spread = self._motion.noise_au + 0.01 * walked
+        turned = 1.0 - np.exp(-self._motion.turns_per_au * walked)
+        straight = np.exp(-0.5 * ((displacement_au - walked) / spread) ** 2) / spread
+        bent = np.where(displacement_au < walked + spread, 0.7 / (walked + spread), 1e-3)
+        # Displacements of one sighting to the next few share their ends: each counts half.
+        self._log_likelihood += 0.5 * np.log((1.0 - turned) * straight + turned * bent + 1e-6)
+        self._log_likelihood -= self._log_likelihood.max()
+        np.maximum(self._log_likelihood, -40.0, out=self._log_likelihood)
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Speeds that spread as the posterior does. -> (count,)."""
+        ranks = (rng.permutation(count) + 0.5) / count
+        index = np.searchsorted(np.cumsum(self._weights), ranks).clip(0, len(self._grid) - 1)
+        speeds: FloatArray = self._grid[index] * np.exp(rng.uniform(-0.025, 0.025, count))
+        return speeds
+
+
+@dataclass(slots=True, kw_only=True)
+class Track:
+    """What is believed of one target.
+
+    walkers: (3, M) x, y, heading of its particles; sightings: the last ones, and trail: places it
+    was seen at, both (time, x, y); heading_rad: at the last sighting; heading_trust: chance that
+    it is right
+    """
+
+    walkers: FloatArray
+    sightings: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=6))
+    trail: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=128))
+    heading_rad: float = 0.0
+    heading_trust: float = 0.0
+
+    @property
+    def seen_au(self) -> float:
+        """When it was seen last; minus infinity if never."""
+        return self.sightings[-1][0] if self.sightings else -math.inf
+
+
+class ParticleBelief:
+    """Particles of all targets."""
+
+    def __init__(
+        self, priors_au: FloatArray, motion: MotionSettings, rng: np.random.Generator
+    ) -> None:
+        """priors_au: (N, 2) positions at time 0, NaN where unknown."""
+        self._motion = motion
+        self._rng = rng
+        self.time_au = 0.0
+        self.speed = SpeedBelief(motion)
+        self._speeds = self.speed.draw(motion.num_particles, rng)
+        self._misses: deque[tuple[float, float, float]] = deque(maxlen=64)
+        self.tracks = [self._new_track(prior_au) for prior_au in priors_au]
+
+    def _new_track(self, prior_au: FloatArray) -> Track:
+        walkers = self._rng.random((3, self._motion.num_particles))
+        walkers[2] *= 2.0 * math.pi
+        track = Track(walkers=walkers)
+        if not np.isnan(prior_au).any():
+            walkers[:2] = prior_au[:, None]
+            track.sightings.append((0.0, float(prior_au[0]), float(prior_au[1])))
+            track.trail.append(track.sightings[-1])
+        return track
+
+    def add_target(self) -> None:
+        """Append a target of which nothing is known."""
+        self.tracks.append(self._new_track(np.full(2, np.nan)))
+
+    def advance(self, time_au: float) -> None:
+        """Walk all particles on to a time; never back."""
+        duration = time_au - self.time_au
+        if duration <= 0.0:
+            return
+        self.time_au = time_au
+        for track in self.tracks:
+            self._walk(track.walkers, self._speeds, duration)
+
+    def _walk(self, walkers: FloatArray, speeds: FloatArray, duration_au: float) -> None:
+        walk(walkers, speeds, duration_au, self._motion.turns_per_au, TURN_QUANTILES_RAD, self._rng)
+
+    def futures(
+        self, num_particles: int, num_steps: int, interval_au: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Give some particles of each target, now and walked on. -> (N, m, 2), (H, N, m, 2)."""
+        count = self._motion.num_particles
+        chosen = self._rng.permutation(count)[:num_particles]
+        speeds = np.tile(self._speeds[chosen], len(self.tracks))
+        walkers = np.concatenate([track.walkers[:, chosen] for track in self.tracks], axis=1)
+        shape = (len(self.tracks), len(chosen), 2)
+        now = walkers[:2].T.reshape(shape).copy()
+        later = np.empty((num_steps, *shape))
+        for step in range(num_steps):
+            self._walk(walkers, speeds, interval_au)
+            later[step] = walkers[:2].T.reshape(shape)
+        return now, later
+
+    def update(self, measurement: Measurement) -> None:
+        """Take what the sensor said. Targets beyond those known are the caller's to add."""
+        self.advance(measurement.time_au)
+        time_au = measurement.time_au
+        seen = np.flatnonzero(measurement.seen)
+        for target in seen:
+            self._learn_speed(self.tracks[target], time_au, measurement.target_au[target])
+        if len(seen):
+            self._speeds = self.speed.draw(self._motion.num_particles, self._rng)
+        agent_au = measurement.agent_au
+        self._misses.append((time_au, float(agent_au[0]), float(agent_au[1])))
+        for index, track in enumerate(self.tracks):
+            if index < len(measurement.seen) and measurement.seen[index]:
+                self._sight(track, time_au, measurement.target_au[index])
+            else:
+                self._miss(track, agent_au)
+
+    def _learn_speed(self, track: Track, time_au: float, target_au: FloatArray) -> None:
+        for then_au, x, y in list(track.sightings)[-3:]:
+            if 1e-6 < time_au - then_au <= 1.2:
+                displacement = math.hypot(target_au[0] - x, target_au[1] - y)
+                self.speed.observe(displacement, time_au - then_au)
+
+    def _sight(self, track: Track, time_au: float, target_au: FloatArray) -> None:
+        """Put all particles where the target is seen.
+
+        Headings come from the last sightings, or from the particles that foresaw the place best.
+        """
+        x, y = float(target_au[0]), float(target_au[1])
+        walkers, count = track.walkers, self._motion.num_particles
+        base = self._heading_base(track, time_au, x, y)
+        if base is not None:
+            then_au, from_x, from_y = base
+            track.heading_rad = math.atan2(y - from_y, x - from_x)
+            track.heading_trust = 0.65
+            walkers[2] = track.heading_rad
+            walked = self.speed.mean * (time_au - then_au)
+            if math.hypot(x - from_x, y - from_y) < 0.93 * walked:  # it turned on the way
+                is_loose = self._rng.random(count) < 0.7
+                walkers[2] += np.where(is_loose, self._rng.normal(0.0, 0.6, count), 0.0)
+        else:
+            track.heading_trust = 0.0
+            error = (walkers[0] - x) ** 2 + (walkers[1] - y) ** 2
+            best = np.argpartition(error, count // 12)[: count // 12]
+            walkers[2] = walkers[2, self._rng.choice(best, count)]
+            walkers[2] += self._rng.normal(0.0, 0.2, count)
+        walkers[0], walkers[1] = x, y
+        track.sightings.append((time_au, x, y))
+        if not track.trail or math.hypot(track.trail[-1][1] - x, track.trail[-1][2] - y) > 0.025:
+            track.trail.append(track.sightings[-1])
+
+    def _heading_base(
+        self, track: Track, time_au: float, x: float, y: float
+    ) -> tuple[float, float, float] | None:
+        """The recent sighting from which the present heading is told: far enough, not too old."""
+        base = None
+        for sighting in reversed(track.sightings):
+            if time_au - sighting[0] > 0.65:
+                break
+            base = sighting
+            if math.hypot(x - sighting[1], y - sighting[2]) > 0.01:
+                break
+        if base is not None and math.hypot(x - base[1], y - base[2]) < 1e-4:
+            return None
+        return base
+
+    def _miss(self, track: Track, agent_au: FloatArray) -> None:
+        """Remove the particles that a miss refutes, and put others in their place."""
+        motion = self._motion
+        is_old = [(self.time_au - t) * self.speed.mean > 0.3 for t, _, _ in track.trail]
+        old = [(x, y) for (_, x, y), old in zip(track.trail, is_old, strict=True) if old]
+        lost = refuted(
+            track.walkers,
+            agent_au,
+            np.array(old, dtype=np.float64).reshape(-1, 2),
+            motion.trail_radius_au,
+            motion.trail_doubt,
+            self._rng,
+        )
+        if len(lost) > (1.0 - _FEW) * motion.num_particles:
+            lost = lost[self._walk_anew(track, lost) :]
+        if len(lost):
+            self._copy_survivors(track, lost)
+
+    def _walk_anew(self, track: Track, lost: IntArray) -> int:
+        """Walk particles anew from the last sighting if all misses since are known. -> how many."""
+        misses = [miss for miss in self._misses if miss[0] > track.seen_au + 1e-9]
+        if not track.sightings or len(misses) == self._misses.maxlen:
+            return 0
+        origin = np.array([*track.sightings[-1], track.heading_rad, track.heading_trust])
+        return int(
+            walk_anew(
+                track.walkers,
+                self._speeds,
+                lost,
+                origin,
+                np.array(misses, dtype=np.float64).reshape(-1, 3),
+                self._motion.turns_per_au,
+                TURN_QUANTILES_RAD,
+                self._rng,
+            )
+        )
+
+    def _copy_survivors(self, track: Track, lost: IntArray) -> None:
+        """Replace particles by survivors, or by anything in the square if there are none."""
+        survivors = np.setdiff1d(np.arange(self._motion.num_particles), lost)
+        if len(survivors):
+            track.walkers[:, lost] = track.walkers[:, self._rng.choice(survivors, len(lost))]
+        else:
+            track.walkers[:, lost] = self._new_track(np.full(2, np.nan)).walkers[:, lost]

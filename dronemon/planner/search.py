@@ -1,0 +1,357 @@
+"""Search in the space of beliefs: fly the path that should leave the targets least uncertain.
+
+At every waypoint the particles are walked on over the horizon; many paths are drawn and refined
+against them, the last best one among them; one step of the best is flown. Nothing is trained, and
+one setting serves any number and speed of targets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from dronemon.belief.store import WINDOW_TIME_SCALES
+from dronemon.errors import PlannerError
+from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
+from dronemon.planner import paths
+from dronemon.planner.motion import ARRIVED_AU, until_measurement_au
+from dronemon.planner.particles import MotionSettings, ParticleBelief
+from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
+from dronemon.roadmap import Roadmap
+from dronemon.types import FloatArray, IntArray, Measurement
+
+_WINDOW_AU = WINDOW_TIME_SCALES * paths.TIME_SCALE_AU
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchSettings:
+    """How the search looks ahead and what it values.
+
+    Found by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
+    """
+
+    num_steps: int = 20
+    """Horizon, in measurements."""
+    num_drawn: int = 200
+    """Paths drawn at every decision."""
+    num_refined: int = 150
+    """Small changes of the best path tried after that."""
+    num_planned: int = 40
+    """Particles of each target that paths are scored against."""
+    discount: float = 0.975
+    """Worth of a gain one measurement later."""
+    fading: float = 0.985
+    """Worth of certainty that lasts one measurement longer."""
+    drift: float = 0.7
+    """Share of a target's speed at which it leaves the place of a measurement behind."""
+    probe_au: float = 0.065
+    """Distance of the four probes around a target; the mean over its area is about that at it."""
+    sight_gain: float = 1.2
+    """Worth of having seen a target, for each measurement that the knowledge lasts."""
+    forget_steps: float = 25.0
+    """Measurements in which that knowledge fades to 1/e."""
+    miss_cost: float = 0.9
+    """Cost of a miss at a target, falling off as the belief's peak does."""
+    guided_share: float = 0.7
+    """Paths whose goals are drawn by urgency and nearness, rather than at random."""
+    greed: float = 6.0
+    """Greatest power of that preference."""
+    scatter_au: float = 0.05
+    """How far from a particle a goal may be."""
+    refine_au: float = 0.05
+    """Typical change of a goal in refinement."""
+    unfound_weight: float = 3.0
+    """Weight of a target that was never seen: once found, it can be followed.
+
+    While more targets may exist than are known, an imagined one has this weight too.
+    """
+    motion: MotionSettings = field(default_factory=MotionSettings)
+
+    @property
+    def effort(self) -> paths.Effort:
+        """What the compiled search needs to draw candidates."""
+        return paths.Effort(
+            num_drawn=self.num_drawn,
+            num_refined=self.num_refined,
+            guided_share=self.guided_share,
+            greed=self.greed,
+            forget_steps=self.forget_steps,
+            refine_au=self.refine_au,
+            scatter_au=self.scatter_au,
+        )
+
+    def tables(self, speed: float) -> paths.Tables:
+        """Look-up tables of the score for targets of a speed."""
+        return paths.make_tables(
+            speed=speed,
+            num_steps=self.num_steps,
+            discount=self.discount,
+            fading=self.fading,
+            drift=self.drift,
+            probe_au=self.probe_au,
+            sight_gain=self.sight_gain,
+            forget_steps=self.forget_steps,
+            miss_cost=self.miss_cost,
+        )
+
+
+class _Evidence:
+    """What each target's Gaussian process was given within its window."""
+
+    def __init__(self, priors_au: FloatArray) -> None:
+        self._measurements: deque[Measurement] = deque()
+        self._priors = [
+            [] if np.isnan(prior_au).any() else [(*prior_au, 0.0)] for prior_au in priors_au
+        ]
+        self.seen_au = [-math.inf if np.isnan(p).any() else 0.0 for p in priors_au]
+
+    def add_target(self) -> None:
+        """Append a target without prior."""
+        self._priors.append([])
+        self.seen_au.append(-math.inf)
+
+    def add(self, measurement: Measurement) -> None:
+        """Take a measurement and forget those that leave the window."""
+        self._measurements.append(measurement)
+        while measurement.time_au - self._measurements[0].time_au >= _WINDOW_AU:
+            self._measurements.popleft()
+        for index in np.flatnonzero(measurement.seen):
+            self.seen_au[index] = measurement.time_au
+
+    def points(self, time_au: float, num_targets: int) -> tuple[FloatArray, IntArray]:
+        """Each target's data, and how many. -> (N, n, 3) x, y, time; (N,)."""
+        num_points = len(self._measurements)
+        points = np.zeros((num_targets, num_points + 1, 3))
+        for m, measurement in enumerate(self._measurements):
+            points[:, m, :2] = measurement.agent_au
+            points[:, m, 2] = measurement.time_au
+            seen = np.flatnonzero(measurement.seen)
+            points[seen, m, :2] = measurement.target_au[seen]
+        counts = np.full(num_targets, num_points)
+        for i, prior in enumerate(self._priors):
+            if prior and time_au < _WINDOW_AU:
+                points[i, num_points] = prior[0]
+                counts[i] += 1
+        return points, counts
+
+
+class SearchPlanner:
+    """Flies freely, a measurement's interval at a time."""
+
+    name = "search"
+
+    def __init__(self, settings: SearchSettings | None = None) -> None:
+        self.settings = settings if settings is not None else SearchSettings()
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        """Begin a mission: particles at the priors, and all code compiled before take-off."""
+        _compile()
+        self._begin(briefing, roadmap)
+
+    def _begin(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        self._rng = briefing.rng
+        self._may_be_more = briefing.num_targets == 0
+        priors_au = briefing.priors_au.reshape(-1, 2)
+        if self._may_be_more:
+            priors_au = np.full((1, 2), np.nan)  # the imagined target, always the last
+        self._belief = ParticleBelief(priors_au, self.settings.motion, self._rng)
+        self._evidence = _Evidence(priors_au)
+        self._ground = self._make_ground(roadmap)
+        self._goals = np.zeros((paths.MAX_GOALS, 2))
+        self._num_goals = 0
+
+    def _make_ground(self, roadmap: Roadmap) -> paths.Ground:
+        """Free flight: no nodes."""
+        return paths.Ground(
+            nodes=np.empty((0, 2)),
+            next_hop=np.empty((0, 0), dtype=np.int64),
+            nearest=np.empty((0, 0), dtype=np.int64),
+        )
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        """One step along the best path found."""
+        self._learn(snapshot.measurements, snapshot.time_au)
+        start = paths.Start(
+            float(snapshot.position_au[0]),
+            float(snapshot.position_au[1]),
+            -1,
+            MEASUREMENT_INTERVAL_AU,
+        )
+        gain, path, goals, count, _, _ = self._search(
+            snapshot.time_au, start, np.empty(0, dtype=np.int64)
+        )
+        if count == 0 or math.dist(path[0], snapshot.position_au) <= ARRIVED_AU:
+            raise PlannerError(f"search found no path from {snapshot.position_au}; report this")
+        self._keep(goals, count, path[0])
+        return Waypoint(
+            position_au=path[0],
+            details={"gain": gain, "speed": self._belief.speed.mean, "path": path.tolist()},
+        )
+
+    def _keep(self, goals: FloatArray, count: int, reached_au: FloatArray) -> None:
+        """Remember the best path's goals, less those that the next waypoint reaches."""
+        done = 0
+        while done < count and math.dist(goals[done], reached_au) < 0.05:
+            done += 1
+        self._num_goals = count - done
+        self._goals[: self._num_goals] = goals[done:count]
+
+    def _learn(self, measurements: tuple[Measurement, ...], time_au: float) -> None:
+        for measurement in measurements:
+            while len(measurement.seen) > len(self._belief.tracks) - self._may_be_more:
+                self._belief.add_target()
+                self._evidence.add_target()
+            self._belief.update(measurement)
+            self._evidence.add(measurement)
+        self._belief.advance(time_au)
+
+    def _foreseen(self, time_au: float) -> tuple[FloatArray, FloatArray, float]:
+        """Give the particles now and at the next measurements, and their speed.
+
+        -> (N, m, 2), (H, N, m, 2), ratio to the agent's
+        """
+        settings = self.settings
+        now, later = self._belief.futures(
+            settings.num_planned, settings.num_steps, MEASUREMENT_INTERVAL_AU
+        )
+        return now, later, self._belief.speed.mean
+
+    def _search(
+        self, time_au: float, start: paths.Start, options: IntArray
+    ) -> tuple[float, FloatArray, FloatArray, int, int, FloatArray]:
+        now, later, speed = self._foreseen(time_au)
+        num_targets, num_each = now.shape[:2]
+        tables = self.settings.tables(speed)
+        first = np.arange(num_targets + 1) * num_each
+        points, counts = self._evidence.points(time_au, num_targets)
+        probe_age = np.empty((num_targets * num_each, 4), dtype=np.int32)
+        paths.probe_ages(
+            np.ascontiguousarray(now.reshape(-1, 2)),
+            first,
+            points,
+            counts,
+            time_au,
+            tables,
+            probe_age,
+        )
+        since = (time_au - np.array(self._evidence.seen_au)) / MEASUREMENT_INTERVAL_AU
+        weight = np.full(num_targets, 1.0 / num_each)
+        weight[np.isinf(since)] *= self.settings.unfound_weight
+        flat = later.astype(np.float32).reshape(len(later), -1, 2)
+        scene = paths.Scene(
+            x=np.ascontiguousarray(flat[..., 0]),
+            y=np.ascontiguousarray(flat[..., 1]),
+            weight=np.repeat(weight, num_each).astype(np.float32),
+            probe_age=probe_age,
+            sight_age=np.repeat(since.clip(0, paths.OLDEST), num_each).astype(np.int32),
+            first=first,
+        )
+        found: tuple[float, FloatArray, FloatArray, int, int, FloatArray] = paths.search(
+            start,
+            self._ground,
+            options,
+            scene,
+            tables,
+            self.settings.effort,
+            self._goals,
+            self._num_goals,
+            self._rng,
+        )
+        return found
+
+
+class RoadmapSearchPlanner(SearchPlanner):
+    """Decides at roadmap nodes, as the learned policy does; its teacher."""
+
+    name = "search-roadmap"
+
+    def _make_ground(self, roadmap: Roadmap) -> paths.Ground:
+        """Shortest paths, and the node nearest to each cell of the square."""
+        centres = (np.arange(paths.NEAREST_CELLS) + 0.5) / paths.NEAREST_CELLS
+        offset: FloatArray = np.stack(np.meshgrid(centres, centres, indexing="ij"), axis=-1)[
+            :, :, None
+        ]
+        distance = np.linalg.norm(offset - roadmap.nodes_au, axis=-1)
+        return paths.Ground(
+            nodes=np.ascontiguousarray(roadmap.nodes_au),
+            next_hop=roadmap.next_hop,
+            nearest=distance.argmin(axis=-1),
+        )
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        """The neighbour by way of which the best path goes; details hold every neighbour's gain."""
+        self._learn(snapshot.measurements, snapshot.time_au)
+        nodes_au = snapshot.roadmap.nodes_au
+        node = snapshot.node
+        if node is None:
+            node = int(np.linalg.norm(nodes_au - snapshot.position_au, axis=-1).argmin())
+        neighbours = snapshot.roadmap.neighbours[node]
+        neighbours = neighbours[neighbours != node]
+        start = paths.Start(
+            float(snapshot.position_au[0]),
+            float(snapshot.position_au[1]),
+            node,
+            until_measurement_au(snapshot.time_au),
+        )
+        gain, _, goals, count, hop, gains = self._search(snapshot.time_au, start, neighbours)
+        self._keep(goals, count, nodes_au[hop])
+        return Waypoint(
+            position_au=nodes_au[hop],
+            node=hop,
+            details={
+                "gain": gain,
+                "neighbours": neighbours.tolist(),
+                "neighbour_gains": gains.tolist(),
+            },
+        )
+
+
+class ClairvoyantSearchPlanner(SearchPlanner):
+    """The same search, told where the targets are and will be: the bound."""
+
+    name = "clairvoyant-search"
+
+    def foresee(self, targets_at: TargetsAt) -> None:
+        """Take the truth of the next mission."""
+        self._targets_at = targets_at
+
+    def _foreseen(self, time_au: float) -> tuple[FloatArray, FloatArray, float]:
+        """The true places, and the mean speed over the horizon."""
+        steps = np.arange(self.settings.num_steps + 1, dtype=np.float64)
+        times_au: FloatArray = time_au + MEASUREMENT_INTERVAL_AU * steps
+        places: FloatArray = self._targets_at(times_au)[:, :, None]
+        walked = np.linalg.norm(np.diff(places[:2], axis=0), axis=-1)
+        return places[0], places[1:], float(np.mean(walked)) / MEASUREMENT_INTERVAL_AU
+
+
+@cache
+def _compile() -> None:
+    """Have all compiled code ready, by a decision that is thrown away."""
+    planner = SearchPlanner()
+    start_au = np.array([0.5, 0.5])
+    planner._begin(
+        Briefing(
+            num_targets=1,
+            priors_au=start_au[None],
+            start_au=start_au,
+            horizon_au=1.0,
+            rng=np.random.default_rng(0),
+        ),
+        Roadmap(nodes_au=start_au[None], neighbours=np.zeros((1, 1), dtype=np.int64)),
+    )
+    for time_au in (
+        0.1,
+        0.2,
+    ):  # misses where the target must be, so that all particles are replaced
+        missed = Measurement(
+            time_au=time_au,
+            agent_au=start_au,
+            seen=np.array([False]),
+            target_au=np.full((1, 2), np.nan),
+        )
+        planner._learn((missed,), time_au)
+    planner._search(0.2, paths.Start(0.5, 0.5, -1, 0.1), np.empty(0, dtype=np.int64))

@@ -1,0 +1,150 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dronemon.planner import Briefing, Snapshot
+from dronemon.planner.search import (
+    ClairvoyantSearchPlanner,
+    RoadmapSearchPlanner,
+    SearchPlanner,
+    SearchSettings,
+)
+from dronemon.roadmap import Roadmap
+from dronemon.world import Instance, measure, sample_leg
+
+QUICK = SearchSettings(num_drawn=40, num_refined=20, num_planned=15)
+
+
+def fly(planner, *, prior="full", num_targets=3, speed=0.05, length_au=6.0, seed=10_000, noise=0.0):
+    """Agent's places and what was seen, (S, 2) and (S, N), of one short mission."""
+    instance = Instance.draw(seed, num_targets)
+    roadmap = Roadmap.random(200, 10, instance.stream("roadmap"), instance.start_au)
+    if hasattr(planner, "foresee"):
+        planner.foresee(lambda times_au: instance.paths.positions_au(times_au * speed))
+    priors = instance.paths.positions_au(0.0)
+    known = 0 if prior == "none" else num_targets
+    priors = priors if prior == "full" else np.full((known, 2), np.nan)
+    planner.reset(
+        Briefing(
+            num_targets=known,
+            priors_au=priors,
+            start_au=instance.start_au,
+            horizon_au=length_au,
+            rng=instance.stream("planner"),
+        ),
+        roadmap,
+    )
+    met: list[int] = list(range(known))
+    rng = np.random.default_rng(seed)
+    position, node, time, residual, pending = instance.start_au, 0, 0.0, 0.0, []
+    places, seen = [], []
+    while time < length_au - 1e-9:
+        waypoint = planner.next_waypoint(
+            Snapshot(
+                time_au=time,
+                position_au=position,
+                node=node,
+                measurements=tuple(pending),
+                belief=None,  # type: ignore[arg-type]  # the search keeps its own
+                roadmap=roadmap,
+                remaining_au=length_au - time,
+            )
+        )
+        assert np.all((waypoint.position_au >= 0.0) & (waypoint.position_au <= 1.0))
+        leg = sample_leg(position, waypoint.position_au, residual)
+        pending = []
+        for offset, place in zip(leg.offsets_au, leg.positions_au, strict=True):
+            whole = measure(
+                time + offset, place, instance.paths.positions_au((time + offset) * speed)
+            )
+            met += [i for i in np.flatnonzero(whole.seen) if i not in met]
+            target_au = whole.target_au[met] + rng.normal(0.0, noise, (len(met), 2))
+            pending.append(replace(whole, seen=whole.seen[met], target_au=target_au))
+            places.append(place)
+            seen.append(whole.seen)
+        time += float(np.linalg.norm(waypoint.position_au - position))
+        position, node, residual = waypoint.position_au, waypoint.node, leg.residual_au
+    return np.array(places), np.array(seen)
+
+
+def test_keeps_all_targets_in_sight_again_and_again():
+    _, seen = fly(SearchPlanner(QUICK), length_au=10.0)
+    assert seen.sum(axis=0).min() >= 8
+
+
+def test_same_seed_flies_the_same_path():
+    first, _ = fly(SearchPlanner(QUICK), length_au=3.0)
+    second, _ = fly(SearchPlanner(QUICK), length_au=3.0)
+    assert np.array_equal(first, second)
+
+
+def test_finds_targets_whose_places_are_unknown():
+    _, seen = fly(SearchPlanner(QUICK), prior="number", length_au=15.0)
+    assert seen.any(axis=0).all()
+
+
+def test_finds_targets_of_which_nothing_is_known():
+    _, seen = fly(SearchPlanner(QUICK), prior="none", length_au=15.0)
+    assert seen.any(axis=0).all()
+
+
+def test_noisy_sightings_are_followed():
+    _, seen = fly(SearchPlanner(QUICK), noise=0.0025, length_au=10.0)
+    assert seen.sum(axis=0).min() >= 8
+
+
+def test_clairvoyant_sees_targets_more_often():
+    fast = {"speed": 1 / 7, "num_targets": 4, "length_au": 10.0}
+    _, blind = fly(SearchPlanner(QUICK), **fast)
+    _, told = fly(ClairvoyantSearchPlanner(QUICK), **fast)
+    assert told.sum() > blind.sum()
+
+
+def test_roadmap_search_stays_on_edges_and_scores_every_neighbour():
+    planner = RoadmapSearchPlanner(QUICK)
+    instance = Instance.draw(10_001, 2)
+    roadmap = Roadmap.random(200, 10, instance.stream("roadmap"), instance.start_au)
+    planner.reset(
+        Briefing(
+            num_targets=2,
+            priors_au=instance.paths.positions_au(0.0),
+            start_au=instance.start_au,
+            horizon_au=30.0,
+            rng=instance.stream("planner"),
+        ),
+        roadmap,
+    )
+    node, position, time = 0, instance.start_au, 0.0
+    for _ in range(10):
+        waypoint = planner.next_waypoint(
+            Snapshot(
+                time_au=time,
+                position_au=position,
+                node=node,
+                measurements=(),
+                belief=None,  # type: ignore[arg-type]  # the search keeps its own
+                roadmap=roadmap,
+                remaining_au=30.0 - time,
+            )
+        )
+        others = roadmap.neighbours[node][roadmap.neighbours[node] != node]
+        gains = np.array(waypoint.details["neighbour_gains"])
+        assert waypoint.details["neighbours"] == others.tolist()
+        assert np.isfinite(gains).all()
+        assert others[gains.argmax()] == waypoint.node
+        time += float(np.linalg.norm(waypoint.position_au - position))
+        node, position = waypoint.node, waypoint.position_au
+
+
+def test_roadmap_search_keeps_targets_in_sight():
+    _, seen = fly(RoadmapSearchPlanner(QUICK), length_au=10.0)
+    assert seen.sum(axis=0).min() >= 5
+
+
+@pytest.mark.parametrize("planner", [SearchPlanner(QUICK), ClairvoyantSearchPlanner(QUICK)])
+def test_waypoints_are_one_measurement_apart_inside_the_square(planner):
+    places, _ = fly(planner, length_au=3.0)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    inside = np.all((places[1:] > 1e-9) & (places[1:] < 1.0 - 1e-9), axis=-1)
+    assert steps[inside & (steps > 0.0)].max() <= 0.1 + 1e-9
