@@ -127,7 +127,7 @@ class Ppo:
         own.manual_seed(int(common.integers(2**48)) * self._peers.size + self._peers.rank)
         first = self._num_iterations * config.episodes_per_iteration
         share = max(1, config.episodes_per_iteration // self._peers.size)
-        risen = min(1.0, first / config.curriculum_episodes)
+        risen = min(1.0, (first + 1) / (config.curriculum_episodes + 1))
         num_nodes, history, num_targets = (
             int(common.integers(low, high + 1))
             for low, high in (config.num_nodes, config.history, config.num_targets)
@@ -154,7 +154,7 @@ class Ppo:
     def _learn(self, rollout: Rollout) -> dict[str, float]:
         """Several passes over the episodes, a few of them at a time."""
         config = self.config
-        rewards = self._rewards(rollout)
+        rewards = scaled_rewards(rollout, config)
         never = torch.zeros_like(rewards, dtype=torch.bool)
         gains = advantages(rewards, rollout.values, never, config.discount, config.lam)
         returns = gains + rollout.values[:, :-1]
@@ -174,9 +174,9 @@ class Ppo:
                 clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
                 policy_loss = -torch.minimum(ratio * gain, clipped * gain).mean()
                 value_loss = (verdict.value - returns[episodes]).square().mean()
-                entropy = _entropy(verdict.logits).mean()
+                spread = entropy(verdict.logits).mean()
                 loss = (
-                    policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
+                    policy_loss + config.value_weight * value_loss - config.entropy_weight * spread
                 )
                 self._optimizer.zero_grad()
                 torch.autograd.backward(loss)
@@ -187,7 +187,7 @@ class Ppo:
                 for name, value in {
                     "policy_loss": policy_loss,
                     "value_loss": value_loss,
-                    "entropy": entropy,
+                    "entropy": spread,
                     "gradient": gradient,
                     "kl": (ratio - 1.0 - log_ratio).mean(),
                     "clipped": (ratio != clipped).float().mean(),
@@ -195,14 +195,14 @@ class Ppo:
                     sums[name] = sums.get(name, torch.zeros_like(value)) + value.detach()
         return {name: float(value) / steps for name, value in sums.items()}
 
-    def _rewards(self, rollout: Rollout) -> Tensor:
-        """What decisions earn, on the scale that the value learns. -> (B, L)."""
-        config = self.config
-        if config.objective == "fall":
-            return config.reward_scale * rollout.rewards - config.decision_cost
-        # Differs from STAMP: minus what Table I measures, for each leg as long as it took.
-        lost = rollout.area_std.nanmean(dim=2) - 0.75
-        return -config.reward_scale * lost * rollout.legs_au / 0.1
+
+def scaled_rewards(rollout: Rollout, config: PpoConfig) -> Tensor:
+    """What decisions earn, on the scale that the value learns. -> (B, L)."""
+    if config.objective == "fall":
+        return config.reward_scale * rollout.rewards - config.decision_cost
+    # Differs from STAMP: minus what Table I measures, for each leg as long as it took.
+    excess = rollout.area_std.nanmean(dim=2) - 0.75
+    return -config.reward_scale * excess * rollout.legs_au / 0.1
 
 
 def _log_chance(logits: Tensor, actions: Tensor) -> Tensor:
@@ -210,7 +210,7 @@ def _log_chance(logits: Tensor, actions: Tensor) -> Tensor:
     return logits.log_softmax(-1).gather(2, actions[..., None])[..., 0]
 
 
-def _entropy(logits: Tensor) -> Tensor:
+def entropy(logits: Tensor) -> Tensor:
     """Entropy of the policy, in nats. (B, L, k) -> (B, L)."""
     log_chances = logits.log_softmax(-1)
     return -(log_chances.exp() * log_chances.masked_fill(logits.isinf(), 0.0)).sum(-1)

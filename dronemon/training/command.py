@@ -1,0 +1,157 @@
+"""`dronemon train`: options, progress on the terminal, and where the result lies."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from dronemon.policy import NetworkConfig
+from dronemon.training.imitation import ExpertConfig
+from dronemon.training.ppo import PpoConfig
+from dronemon.training.train import METRICS, Plan, train
+
+_SHOWN = ("unc", "imitation_loss", "regret", "agreement", "kl", "val_unc", "decisions_per_s")
+
+
+class RecipeName(StrEnum):
+    """Ways to train."""
+
+    PAPER = "paper"
+    EXPERT = "expert"
+
+
+class TemporalName(StrEnum):
+    """Ways to read history."""
+
+    ATTENTION = "attention"
+    LSTM = "lstm"
+
+
+def train_command(
+    recipe: Annotated[
+        RecipeName,
+        typer.Option(help="paper: PPO from scratch. expert: imitate the search planner, then PPO."),
+    ] = RecipeName.EXPERT,
+    out: Annotated[Path, typer.Option(help="Folder of the run; a run found there goes on.")] = Path(
+        "runs/train"
+    ),
+    minutes: Annotated[
+        float, typer.Option(min=0.1, help="Time budget, over all resumptions.")
+    ] = 60.0,
+    seed: Annotated[int, typer.Option(min=0, help="Root of all randomness.")] = 0,
+    start: Annotated[
+        str | None, typer.Option(help="Checkpoint (path or name) whose weights to begin with.")
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    width: Annotated[int, typer.Option(help="d, width of the network.")] = 128,
+    feed_forward: Annotated[
+        int | None, typer.Option(help="Width of the feed-forward parts; 4 d if absent.")
+    ] = None,
+    temporal: Annotated[
+        TemporalName, typer.Option(help="How history is read; lstm is the ablation.")
+    ] = TemporalName.ATTENTION,
+    predictions: Annotated[
+        bool, typer.Option("--predictions/--no-predictions", help="Show beliefs a little later.")
+    ] = True,
+    distance_bias: Annotated[
+        bool,
+        typer.Option(
+            "--distance-bias/--no-distance-bias",
+            help="Let attention between nodes fall with their distance.",
+        ),
+    ] = False,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Episodes per iteration, over all processes.")
+    ] = None,
+    decisions: Annotated[int, typer.Option(min=2, help="Decisions per episode.")] = 256,
+    imitation_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="expert: share of the time before PPO.")
+    ] = 0.75,
+    validation_minutes: Annotated[
+        float, typer.Option(min=0.0, help="How often to fly the development seeds.")
+    ] = 10.0,
+    validation_episodes: Annotated[int, typer.Option(min=1)] = 16,
+) -> None:
+    """Train a policy. Kill it whenever you like: the same command goes on where it was.
+
+    Several GPUs: torchrun --nproc-per-node 4 -m dronemon train --recipe paper ...
+    """
+    paper, expert = PpoConfig(decisions=decisions), ExpertConfig(decisions=decisions)
+    if episodes is not None:
+        paper = replace(paper, episodes_per_iteration=episodes)
+        expert = replace(expert, round_episodes=episodes)
+    expert = replace(
+        expert,
+        imitation_share=imitation_share,
+        finish=replace(expert.finish, decisions=decisions),
+    )
+    plan = Plan(
+        out=out,
+        recipe=recipe.value,
+        network=NetworkConfig(
+            width=width,
+            feed_forward=feed_forward if feed_forward is not None else 4 * width,
+            temporal=temporal.value,
+            predictions=predictions,
+            distance_bias=distance_bias,
+        ),
+        paper=paper,
+        expert=expert,
+        start=start,
+        minutes=minutes,
+        seed=seed,
+        device=device,
+        validation_minutes=validation_minutes,
+        validation_episodes=validation_episodes,
+    )
+    if "WORLD_SIZE" in os.environ:
+        torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
+    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    with _Display(Console()) as display:
+        best = train(plan, command=command, listen=display)
+    if best.exists():
+        Console().print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
+
+
+class _Display:
+    """A progress bar over the time budget, and a line for each iteration."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            TextColumn("training"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._task = self._progress.add_task("training", total=1.0)
+
+    def __enter__(self) -> _Display:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def __call__(self, progress: float, metrics: Mapping[str, float]) -> None:
+        """Show an iteration."""
+        assert metrics.keys() <= METRICS.keys(), metrics.keys() - METRICS.keys()
+        shown = [f"{name} {metrics[name]:.4g}" for name in _SHOWN if name in metrics]
+        self._progress.update(self._task, completed=min(1.0, progress))
+        self._console.print(
+            f"{metrics['minutes']:6.1f} min  iteration {metrics['iteration']:.0f}  "
+            + "  ".join(shown),
+            highlight=False,
+            soft_wrap=True,
+        )

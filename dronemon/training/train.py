@@ -1,0 +1,303 @@
+"""Training from start to finish: iterations of a recipe, validation, and a run that can be killed.
+
+A run is a folder. `state.pt` holds everything the next iteration depends on and is replaced after
+each, so a kill at any point costs at most the iteration under way; `metrics.jsonl` holds a line per
+iteration; `best.pt` and `best.md` are the weights with the lowest `val_unc` so far, and their card.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import torch
+
+from dronemon.errors import CheckpointMismatch
+from dronemon.policy import (
+    Card,
+    NetworkConfig,
+    PolicyNetwork,
+    find_checkpoint,
+    load_checkpoint,
+    read_tensors,
+    save_checkpoint,
+    write_atomically,
+)
+from dronemon.training.imitation import Expert, ExpertConfig
+from dronemon.training.peers import Peers, join_peers, own_device
+from dronemon.training.ppo import Ppo, PpoConfig
+from dronemon.training.validation import FIRST_SEED, validate
+
+METRICS: dict[str, str] = {
+    "iteration": "iterations of the recipe so far",
+    "minutes": "time spent in training so far, over all its resumptions",
+    "decisions": "decisions played in the iteration, over all processes",
+    "decisions_per_s": "decisions over the time the iteration took to play and to learn",
+    "play_s": "seconds spent playing episodes: environment, belief and network",
+    "learn_s": "seconds spent improving the network",
+    "unc": "mean of sigma_bar over targets and the way flown, in the episodes played",
+    "reward": "paper's reward per decision in the episodes played, unscaled",
+    "learning_rate": "of the optimizer",
+    "policy_loss": "PPO's clipped objective, negated, mean over the updates",
+    "value_loss": "squared error of the value against the returns",
+    "entropy": "of the policy, in nats",
+    "gradient": "norm of the gradient before it is clipped",
+    "kl": "estimate of the divergence from the policy that played",
+    "clipped": "share of decisions whose probability ratio left the clip range",
+    "imitation_loss": "cross-entropy between the teacher's soft choice and the policy",
+    "regret": "the teacher's score lost by the student's choices, in soft-target temperatures",
+    "agreement": "share of decisions in which student and teacher would choose alike",
+    "episodes": "taught episodes in the dataset",
+    "val_unc": "mean of sigma_bar, flying greedily on development seeds; chooses the best",
+    "val_reward": "paper's reward per decision, the same episodes",
+    "val_lost": "share of targets with sigma_bar > 0.9, the same episodes",
+}
+"""Every number that training logs, and what it means."""
+STATE_FORMAT = "dronemon training 1"
+
+
+class Recipe(Protocol):
+    """A way to train: `iterate` plays and learns once."""
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """What a card says about it."""
+        ...
+
+    def iterate(self, progress: float) -> dict[str, float]:
+        """Play and learn. progress: share of the time budget that is spent -> metrics."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """All that the next iteration depends on, besides the weights."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where `state` was taken."""
+        ...
+
+
+class Listener(Protocol):
+    """Hears about a run as it goes."""
+
+    def __call__(self, progress: float, metrics: Mapping[str, float]) -> None:
+        """Take in the metrics of an iteration. progress: share of the time budget spent."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """What to train, for how long, and where.
+
+    start: path or name of a checkpoint whose weights to begin with; validation_episodes and
+    validation_decisions: how thoroughly to measure, every validation_minutes and at the end.
+    """
+
+    out: Path
+    recipe: Literal["paper", "expert"] = "expert"
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    paper: PpoConfig = field(default_factory=PpoConfig)
+    expert: ExpertConfig = field(default_factory=ExpertConfig)
+    start: str | None = None
+    minutes: float = 60.0
+    seed: int = 0
+    device: str = "auto"
+    validation_minutes: float = 10.0
+    validation_episodes: int = 16
+    validation_decisions: int = 300
+
+    @property
+    def identity(self) -> dict[str, object]:
+        """What a resumed run must share with the run it goes on with."""
+        recipe = self.paper if self.recipe == "paper" else self.expert
+        identity = {
+            "recipe": self.recipe,
+            "network": asdict(self.network),
+            "settings": asdict(recipe),
+            "start": self.start,
+            "seed": self.seed,
+        }
+        as_read: dict[str, object] = json.loads(json.dumps(identity))
+        return as_read
+
+
+@dataclass(slots=True)
+class _Run:
+    """What a run has come to."""
+
+    iteration: int = 0
+    elapsed_s: float = 0.0
+    validated_s: float = 0.0
+    best_unc: float = float("inf")
+    curve: list[dict[str, float]] | None = None
+
+
+def train(plan: Plan, *, command: str, listen: Listener) -> Path:
+    """Train, or go on with the run in `plan.out`. -> path of the best checkpoint.
+
+    Raises CheckpointMismatch if `plan.out` holds a run of another plan, or the start is unusable.
+    """
+    device = own_device(plan.device)
+    with join_peers(device) as peers:
+        network = _first_weights(plan).to(device)
+        peers.share_weights(network)
+        recipe = _recipe(plan, network, device, peers)
+        run = _resume(plan, network, recipe)
+        best = plan.out / "best.pt"
+        while run.elapsed_s < 60.0 * plan.minutes:
+            began = time.monotonic()
+            metrics = peers.agree(recipe.iterate(run.elapsed_s / (60.0 * plan.minutes)), device)
+            run.iteration += 1
+            run.elapsed_s += time.monotonic() - began
+            is_due = run.elapsed_s - run.validated_s >= 60.0 * plan.validation_minutes
+            if is_due or run.elapsed_s >= 60.0 * plan.minutes:
+                began = time.monotonic()
+                metrics |= _measure(plan, network, device)
+                run.elapsed_s += time.monotonic() - began
+                run.validated_s = run.elapsed_s
+            row = {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
+            if peers.is_first:
+                _record(plan, network, recipe, run, row, command)
+                listen(run.elapsed_s / (60.0 * plan.minutes), row)
+        return best
+
+
+def _first_weights(plan: Plan) -> PolicyNetwork:
+    """New weights from the seed, or those of a checkpoint."""
+    if plan.start is not None:
+        return load_checkpoint(find_checkpoint(plan.start), expected=plan.network).network.train()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(plan.seed)
+        return PolicyNetwork(plan.network)
+
+
+def _recipe(plan: Plan, network: PolicyNetwork, device: torch.device, peers: Peers) -> Recipe:
+    if plan.recipe == "paper":
+        return Ppo(network, plan.paper, seed=plan.seed, device=device, peers=peers)
+    return Expert(
+        network,
+        plan.expert,
+        seed=plan.seed,
+        device=device,
+        peers=peers,
+        folder=plan.out / "lessons",
+    )
+
+
+def _resume(plan: Plan, network: PolicyNetwork, recipe: Recipe) -> _Run:
+    """Take up the run in the folder, if there is one."""
+    path = plan.out / "state.pt"
+    if not path.exists():
+        return _Run(curve=[])
+    state = read_tensors(path)
+    if state.get("format") != STATE_FORMAT:
+        raise CheckpointMismatch(f"{path}: not the state of a training run; choose another --out")
+    if state["identity"] != plan.identity:
+        pairs = plan.identity.items()
+        name = next(name for name, value in pairs if state["identity"].get(name) != value)
+        raise CheckpointMismatch(
+            f"{path}: that run has {name} {state['identity'].get(name)}, not"
+            f" {plan.identity[name]}; repeat its options to go on with it, or choose another --out"
+        )
+    network.load_state_dict(state["weights"])
+    recipe.restore(state["recipe"])
+    _forget_lines(plan.out / "metrics.jsonl", state["run"]["iteration"])
+    return _Run(**state["run"])
+
+
+def _measure(plan: Plan, network: PolicyNetwork, device: torch.device) -> dict[str, float]:
+    return validate(
+        network,
+        episodes=plan.validation_episodes,
+        decisions=plan.validation_decisions,
+        device=device,
+    )
+
+
+def _record(
+    plan: Plan,
+    network: PolicyNetwork,
+    recipe: Recipe,
+    run: _Run,
+    row: dict[str, float],
+    command: str,
+) -> None:
+    """Write what an iteration led to; the state last, since it makes the rest count."""
+    assert run.curve is not None
+    plan.out.mkdir(parents=True, exist_ok=True)
+    if "val_unc" in row:
+        names = ("iteration", "minutes", "val_unc", "val_reward", "val_lost")
+        run.curve.append({name: row[name] for name in names})
+        if row["val_unc"] < run.best_unc:
+            run.best_unc = row["val_unc"]
+            _keep(plan, network, recipe, run, row, command)
+    with (plan.out / "metrics.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(row) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    write_atomically(
+        plan.out / "state.pt",
+        {
+            "format": STATE_FORMAT,
+            "identity": plan.identity,
+            "weights": network.state_dict(),
+            "recipe": recipe.state(),
+            "run": asdict(run),
+        },
+    )
+
+
+def _keep(
+    plan: Plan,
+    network: PolicyNetwork,
+    recipe: Recipe,
+    run: _Run,
+    row: dict[str, float],
+    command: str,
+) -> None:
+    """Write the best weights so far, with their card."""
+    card = Card(
+        recipe=plan.recipe,
+        command=command,
+        commit=_commit(),
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        seeds=(
+            f"root {plan.seed}; chosen on {FIRST_SEED} to"
+            f" {FIRST_SEED + plan.validation_episodes - 1}"
+        ),
+        settings=json.loads(json.dumps(recipe.settings)),
+        curve=tuple(run.curve or ()),
+        scores={name: value for name, value in row.items() if name.startswith("val_")},
+    )
+    save_checkpoint(plan.out / "best.pt", network, card)
+    (plan.out / "best.md").write_text(card.markdown("best", network.config), encoding="utf-8")
+
+
+def _forget_lines(path: Path, count: int) -> None:
+    """Drop lines that were written after the state was; the iteration is done again."""
+    if path.exists():
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        path.write_text("".join(lines[:count]), encoding="utf-8")
+
+
+def _commit() -> str:
+    """Commit of the code that runs, if it lies in a checkout."""
+    try:
+        result = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=10.0,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return result.stdout.strip()
