@@ -69,9 +69,15 @@ class SimulatedCamera:
     async def _ask(self) -> tuple[float, NDArray[np.uint8]]:
         """Capture time and JPEG of one picture."""
         stream, self._stream = self._stream, None
-        if stream is None or stream[0].at_eof():
-            stream = await asyncio.open_connection(*self._address)
-        reader, writer = stream
+        if stream is not None:
+            with suppress(OSError, asyncio.IncompleteReadError):  # dropped while it was idle
+                return await self._ask_over(*stream)
+        return await self._ask_over(*await asyncio.open_connection(*self._address))
+
+    async def _ask_over(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> tuple[float, NDArray[np.uint8]]:
+        """The same over one connection, which is kept only if the whole answer came."""
         try:
             writer.write(_REQUEST)
             await writer.drain()
@@ -82,7 +88,7 @@ class SimulatedCamera:
                     f"and at most {_MAX_JPEG_BYTES}; is another program listening there?"
                 )
             jpeg = np.frombuffer(await reader.readexactly(num_bytes), np.uint8)
-            self._stream = stream  # a connection with half an answer in it is not used again
+            self._stream = reader, writer
         finally:
             if self._stream is None:
                 writer.close()
@@ -106,7 +112,8 @@ class SimulatedCamera:
 
 
 def _host_and_port(url: str) -> tuple[str, int]:
-    parts = urlsplit(url)
-    if parts.scheme != "tcp" or parts.hostname is None or parts.port is None:
-        raise CameraError(f"camera address {url!r} is not of the form tcp://127.0.0.1:5600")
-    return parts.hostname, parts.port
+    with suppress(ValueError):  # a port that is no number
+        parts = urlsplit(url)
+        if parts.scheme == "tcp" and parts.hostname is not None and parts.port is not None:
+            return parts.hostname, parts.port
+    raise CameraError(f"camera address {url!r} is not of the form tcp://127.0.0.1:5600")
