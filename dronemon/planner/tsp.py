@@ -18,7 +18,7 @@ from dronemon.planner.motion import orbit, step_towards, until_measurement_au
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
 from dronemon.planner.tour import shortest_loop
 from dronemon.roadmap import Roadmap
-from dronemon.types import FloatArray, IntArray
+from dronemon.types import BoolArray, FloatArray, IntArray
 
 REACHED_AU = 1e-3
 """Distance at which a target's place counts as visited."""
@@ -50,13 +50,17 @@ class TspLoop:
     """Visits each target's supposed place in the order of a shortest loop, round and round.
 
     The loop is planned anew whenever a target was seen or visited, and flown on in the same sense.
+    A target counts as visited once it is seen (`leaves_on_sight`) or its place is reached.
     While some target's place is unknown, or before the first sweep of a mission that does not
     know how many targets there are, the lawnmower's lanes are flown instead.
     """
 
-    def __init__(self, name: str, whereabouts: Whereabouts) -> None:
+    def __init__(
+        self, name: str, whereabouts: Whereabouts, *, leaves_on_sight: bool = True
+    ) -> None:
         self.name = name
         self._whereabouts = whereabouts
+        self._leaves_on_sight = leaves_on_sight
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the loop."""
@@ -78,9 +82,11 @@ class TspLoop:
         ):
             corner_au = self._sweep.next_corner(here_au)
             return Waypoint(position_au=step_towards(here_au, corner_au, step_au))
-        was_seen = any(measurement.seen.any() for measurement in snapshot.measurements)
-        if was_seen or len(self._loop) != len(places_au):
+        was_seen = _were_seen(snapshot, len(places_au))
+        if was_seen.any() or len(self._loop) != len(places_au):
             self._plan(places_au, here_au)
+        if self._leaves_on_sight and was_seen[self._goal]:
+            self._goal = _successor(self._loop, self._goal)
         for _ in places_au:
             meeting_au = self._meeting_point(snapshot)
             if np.linalg.norm(meeting_au - here_au) > REACHED_AU:
@@ -113,6 +119,14 @@ class TspLoop:
             distance_au = float(np.linalg.norm(meeting_au - snapshot.position_au))
             arrival_au = snapshot.time_au + distance_au
         return meeting_au
+
+
+def _were_seen(snapshot: Snapshot, num_targets: int) -> BoolArray:
+    """Which targets any of the new measurements saw. -> (N,)."""
+    seen = np.zeros(num_targets, dtype=np.bool_)
+    for measurement in snapshot.measurements:
+        seen[: len(measurement.seen)] |= measurement.seen
+    return seen
 
 
 def _successor(loop: IntArray, target: int) -> int:
@@ -175,11 +189,12 @@ class CarriedOn:
 
 
 class Predicted:
-    """Where the belief's mean peaks at the time asked for; the last-seen place where it is lost."""
+    """Where the belief's mean will peak a little later; the last-seen place where it has none."""
 
-    def __init__(self) -> None:
+    def __init__(self, prediction_au: float = 1.0) -> None:
         axis = np.linspace(0.0, 1.0, PEAK_GRID)
         self._grid_au = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+        self._prediction_au = prediction_au
         self._last_seen = LastSeen()
 
     def reset(self, briefing: Briefing) -> None:
@@ -187,19 +202,19 @@ class Predicted:
         self._last_seen.reset(briefing)
 
     def take(self, snapshot: Snapshot) -> None:
-        """Keep the belief to ask."""
+        """Find each belief's peak among the points of a grid."""
         self._last_seen.take(snapshot)
-        self._belief = snapshot.belief
+        last_seen_au = self._last_seen.at(snapshot.time_au)
+        time_au = snapshot.time_au + self._prediction_au
+        times_au = np.full((len(self._grid_au), 1), time_au)
+        mean, _ = snapshot.belief.posterior(np.concatenate([self._grid_au, times_au], axis=1))
+        is_found = (mean.max(axis=1) > 0.0) & np.isfinite(last_seen_au).all(axis=1)
+        peaks_au = self._grid_au[mean.argmax(axis=1)]
+        self._places_au = np.where(is_found[:, None], peaks_au, last_seen_au)
 
     def at(self, time_au: float) -> FloatArray:
-        """Find each belief's peak among the points of a grid."""
-        times_au = np.full((len(self._grid_au), 1), time_au)
-        mean, _ = self._belief.posterior(np.concatenate([self._grid_au, times_au], axis=1))
-        has_peak = mean.max(axis=1, initial=0.0) > 0.0
-        last_seen_au = self._last_seen.at(time_au)
-        peaks_au = self._grid_au[mean.argmax(axis=1)]
-        is_found = has_peak & np.isfinite(last_seen_au).all(axis=1)
-        return np.where(is_found[:, None], peaks_au, last_seen_au)
+        """Give the peaks, whatever the time: they stay while they fade."""
+        return self._places_au
 
 
 class Foreseen:
@@ -217,7 +232,8 @@ class Foreseen:
 
     def at(self, time_au: float) -> FloatArray:
         """Tell the truth."""
-        return self._targets_at(np.array([time_au]))[0]
+        places_au: FloatArray = self._targets_at(np.array([time_au]))[0]
+        return places_au
 
 
 class ClairvoyantTspLoop:
@@ -227,7 +243,7 @@ class ClairvoyantTspLoop:
 
     def __init__(self) -> None:
         self._foreseen = Foreseen()
-        self._loop = TspLoop(self.name, self._foreseen)
+        self._loop = TspLoop(self.name, self._foreseen, leaves_on_sight=False)
 
     def foresee(self, targets_at: TargetsAt) -> None:
         """Take the truth of the next mission."""

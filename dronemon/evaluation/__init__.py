@@ -1,0 +1,1 @@
+"""Measuring planners: episodes, tables and figures."""

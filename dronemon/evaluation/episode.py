@@ -1,0 +1,221 @@
+"""One episode of one planner in the simulated world, flown exactly as the paper evaluates.
+
+The agent flies straight at unit speed from waypoint to waypoint and measures every 0.1 au flown;
+targets move on all the while. Source: paper, section V-A; PAPER-NOTES.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from dronemon.belief import Belief, EpisodeMetrics, Prior, episode_metrics
+from dronemon.errors import DronemonError
+from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
+from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
+from dronemon.roadmap import Roadmap
+from dronemon.types import BoolArray, FloatArray, Measurement
+from dronemon.world import Instance, measure, sample_leg
+
+SHORTEST_STEP_AU = 1e-9
+"""A planner whose waypoint is nearer than this would never get anywhere."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conditions:
+    """What an episode is flown under, besides its instance.
+
+    speed_ratio: targets' speed over the agent's; prior: what is known at the start; horizon_au:
+    distance flown; num_nodes, num_neighbours: the roadmap's
+    """
+
+    speed_ratio: float
+    prior: Prior = "full"
+    horizon_au: float = 30.0
+    num_nodes: int = 200
+    num_neighbours: int = 10
+
+    @property
+    def num_measurements(self) -> int:
+        """S: measurements taken within the horizon."""
+        return math.floor(self.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """What happened, at the start and at each of S measurements.
+
+    agent_au: (S+1, 2); targets_au: (S+1, N, 2) true positions; observed: (S+1, N), all false at
+    the start; decisions_s: (D,) wall-clock time of each of the planner's decisions
+    """
+
+    conditions: Conditions
+    agent_au: FloatArray
+    targets_au: FloatArray
+    observed: BoolArray
+    decisions_s: FloatArray
+
+    @property
+    def times_au(self) -> FloatArray:
+        """(S+1,) time of the start and of each measurement."""
+        return measurement_times_au(len(self.agent_au) - 1)
+
+    def metrics(self) -> EpisodeMetrics:
+        """Score the belief of all true targets at every measurement."""
+        return episode_metrics(
+            self.times_au,
+            self.agent_au,
+            self.targets_au,
+            self.observed,
+            prior=self.conditions.prior,
+        )
+
+
+def measurement_times_au(count: int) -> FloatArray:
+    """Times of the start and of the first measurements. -> (count + 1,) au."""
+    return np.arange(count + 1, dtype=np.float64) * MEASUREMENT_INTERVAL_AU
+
+
+def fly(planner: Planner, instance: Instance, conditions: Conditions) -> Episode:
+    """Fly one episode.
+
+    Raises DronemonError if the planner gives a waypoint that cannot be flown to.
+    """
+
+    def targets_at(times_au: FloatArray) -> FloatArray:
+        return instance.paths.positions_au(conditions.speed_ratio * times_au)
+
+    roadmap = Roadmap.random(
+        conditions.num_nodes,
+        conditions.num_neighbours,
+        instance.stream("roadmap"),
+        instance.start_au,
+    )
+    agent = _Agent(instance.start_au, targets_at, conditions)
+    if isinstance(planner, Clairvoyant):
+        planner.foresee(targets_at)
+    planner.reset(
+        Briefing(
+            num_targets=agent.knowledge.num_known,
+            priors_au=agent.knowledge.priors_au,
+            start_au=instance.start_au,
+            horizon_au=conditions.horizon_au,
+            rng=instance.stream("planner"),
+        ),
+        roadmap,
+    )
+    decisions_s = []
+    while not agent.is_done:
+        snapshot = agent.snapshot(roadmap)
+        began_s = time.perf_counter()
+        waypoint = planner.next_waypoint(snapshot)
+        decisions_s.append(time.perf_counter() - began_s)
+        try:
+            agent.fly_to(waypoint.position_au, waypoint.node)
+        except ValueError as exc:
+            raise DronemonError(
+                f"planner {planner.name}, seed {instance.seed}, at {snapshot.time_au:.3f} au: {exc}"
+            ) from exc
+    return agent.episode(np.array(decisions_s))
+
+
+class _Agent:
+    """The agent in its world: where it is, what it has measured, what it knows."""
+
+    def __init__(self, start_au: FloatArray, targets_at: TargetsAt, conditions: Conditions) -> None:
+        self._conditions = conditions
+        self._times_au = measurement_times_au(conditions.num_measurements)
+        self._targets_au = targets_at(self._times_au)
+        self._agent_au = [start_au]
+        self._position_au = start_au
+        self._residual_au = 0.0
+        self._node: int | None = 0  # the roadmap's first node is the start
+        self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
+        self._news: list[Measurement] = []
+        self.knowledge = _Knowledge(self._targets_au[0], conditions.prior)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all measurements have been taken."""
+        return len(self._agent_au) == len(self._times_au)
+
+    def snapshot(self, roadmap: Roadmap) -> Snapshot:
+        """Give what is known now, and what was measured since this was last asked."""
+        news, self._news = tuple(self._news), []
+        time_au = float(self._times_au[len(self._agent_au) - 1]) + self._residual_au
+        return Snapshot(
+            time_au=time_au,
+            position_au=self._position_au,
+            node=self._node,
+            measurements=news,
+            belief=self.knowledge.belief,
+            roadmap=roadmap,
+            remaining_au=max(0.0, self._conditions.horizon_au - time_au),
+        )
+
+    def fly_to(self, waypoint_au: FloatArray, node: int | None) -> None:
+        """Fly to a point of the square, measuring on the way. Raises ValueError if it is none."""
+        if not (np.all(waypoint_au >= -1e-9) and np.all(waypoint_au <= 1.0 + 1e-9)):
+            raise ValueError(f"waypoint {waypoint_au} is not in the unit square")
+        if np.linalg.norm(waypoint_au - self._position_au) < SHORTEST_STEP_AU:
+            raise ValueError(f"waypoint {waypoint_au} is where the agent is, which cannot stop")
+        leg = sample_leg(self._position_au, waypoint_au, self._residual_au)
+        for position_au in leg.positions_au:
+            if self.is_done:
+                break
+            index = len(self._agent_au)
+            truth = measure(float(self._times_au[index]), position_au, self._targets_au[index])
+            self._agent_au.append(position_au)
+            self._observed.append(truth.seen)
+            self._news.append(self.knowledge.take(truth))
+        self._position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
+
+    def episode(self, decisions_s: FloatArray) -> Episode:
+        """Give the record of a finished episode."""
+        return Episode(
+            conditions=self._conditions,
+            agent_au=np.stack(self._agent_au),
+            targets_au=self._targets_au,
+            observed=np.stack(self._observed),
+            decisions_s=decisions_s,
+        )
+
+
+class _Knowledge:
+    """What the agent knows of the targets: which of the true ones, in which order, and its belief.
+
+    first_au: (N, 2) true positions at the start
+    """
+
+    def __init__(self, first_au: FloatArray, prior: Prior) -> None:
+        everyone = list(range(len(first_au)))
+        self._known = [] if prior == "none" else everyone
+        places_au = first_au if prior == "full" else np.full_like(first_au, np.nan)
+        self.priors_au = places_au[self._known]
+        self.belief = Belief(len(self._known))
+        if prior == "full":
+            for target in everyone:
+                self.belief.add_prior(target, first_au[target])
+
+    @property
+    def num_known(self) -> int:
+        """Targets known of."""
+        return len(self._known)
+
+    def take(self, truth: Measurement) -> Measurement:
+        """Let targets join that are seen for the first time; tell what was seen of those known."""
+        for target in np.flatnonzero(truth.seen).tolist():
+            if target not in self._known:
+                self._known.append(target)
+                self.belief.add_target()
+        told = Measurement(
+            time_au=truth.time_au,
+            agent_au=truth.agent_au,
+            seen=truth.seen[self._known],
+            target_au=truth.target_au[self._known],
+        )
+        self.belief.add(told)
+        return told
