@@ -66,7 +66,7 @@ async def simulated(clock):
         )
         return Scene(time_s=pose.time_s, pose=pose, ground_down_m=0.0, frame=frame, animals=())
 
-    async with CameraServer(camera, 10_200, scene, lambda _: None) as server:
+    async with CameraServer(camera, 10_300, scene, lambda _: None) as server:
         url = f"tcp://127.0.0.1:{server.port}"
         yield Stream(
             make=lambda: SimulatedCamera(url, TIMEOUT_S),

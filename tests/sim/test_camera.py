@@ -16,7 +16,7 @@ from sim.animals import drawn_size_m
 from sim.camera import Animal, CameraServer, Renderer, Scene
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
-SEED = 10_100
+SEED = 10_300
 GROUND_DOWN_M = 4.0
 FAR_FRAME = AreaFrame(
     centre_ned_m=(5000.0, 5000.0),

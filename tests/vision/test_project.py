@@ -1,0 +1,64 @@
+"""Poses between two telemetry messages."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dronemon.types import Pose
+from dronemon.vision import interpolate_pose
+
+ANGLES = st.floats(-math.pi, math.pi)
+
+
+def pose(time_s, position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0)):
+    return Pose(
+        time_s=time_s,
+        position_ned_m=position,
+        velocity_ned_m_s=velocity,
+        attitude_rad=attitude,
+    )
+
+
+def test_everything_is_interpolated():
+    before = pose(1.0, (0.0, 10.0, -30.0), (5.0, 0.0, 0.0), (0.1, -0.2, 1.0))
+    after = pose(1.5, (2.0, 10.0, -31.0), (3.0, 1.0, 0.0), (0.2, 0.0, 1.4))
+    between = interpolate_pose(before, after, 1.2)
+    assert between.time_s == 1.2
+    assert between.position_ned_m == pytest.approx((0.8, 10.0, -30.4))
+    assert between.velocity_ned_m_s == pytest.approx((4.2, 0.4, 0.0))
+    assert between.attitude_rad == pytest.approx((0.14, -0.12, 1.16))
+
+
+@given(start=ANGLES, turn=st.floats(-3.0, 3.0), fraction=st.floats(0.0, 1.0))
+def test_yaw_turns_the_shorter_way(start, turn, fraction):
+    end = math.remainder(start + turn, math.tau)
+    between = interpolate_pose(
+        pose(0.0, attitude=(0.0, 0.0, start)), pose(1.0, attitude=(0.0, 0.0, end)), fraction
+    )
+    yaw = between.attitude_rad[2]
+    assert math.remainder(yaw - start - fraction * turn, math.tau) == pytest.approx(0.0, abs=1e-9)
+    assert -math.pi <= yaw <= math.pi
+
+
+def test_yaw_does_not_spin_across_south():
+    before = pose(0.0, attitude=(0.0, 0.0, 3.1))
+    after = pose(1.0, attitude=(0.0, 0.0, -3.1))
+    yaw = interpolate_pose(before, after, 0.5).attitude_rad[2]
+    assert abs(yaw) == pytest.approx(math.pi)
+
+
+@pytest.mark.parametrize(("time_s", "north_m"), [(0.8, -1.0), (1.0, 0.0), (2.0, 5.0), (2.5, 7.0)])
+def test_nearer_pose_moves_on_outside_the_interval(time_s, north_m):
+    before = pose(1.0, (0.0, 0.0, 0.0), (5.0, 0.0, 0.0), (0.1, 0.0, 0.0))
+    after = pose(2.0, (5.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.3, 0.0, 0.0))
+    moved = interpolate_pose(before, after, time_s)
+    assert moved.time_s == time_s
+    assert moved.position_ned_m[0] == pytest.approx(north_m)
+    assert moved.attitude_rad[0] == (0.1 if time_s <= 1.0 else 0.3)
+
+
+def test_two_messages_of_the_same_instant_are_no_problem():
+    same = pose(1.0, (1.0, 2.0, 3.0))
+    assert interpolate_pose(same, same, 1.0) == same
