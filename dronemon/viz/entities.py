@@ -37,6 +37,7 @@ SERIES = {
 WHITE = (240, 244, 250)
 GREY = (150, 160, 178)
 DARK = (62, 70, 84)
+BLUE = (122, 162, 247)
 FOG_RGB = np.array([[14, 18, 26], [96, 106, 122]], dtype=np.float64)
 """Ground of the belief map where every target's standard deviation is 0, and where it is 1."""
 TARGET_RGB = (

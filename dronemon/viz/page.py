@@ -27,7 +27,7 @@ class WebPage:
     def __init__(self, data_port: int) -> None:
         page_port = _free_port(PAGE_PORT)
         source = f"rerun+http://{LOOPBACK}:{data_port}/proxy"
-        self.url = f"http://{LOOPBACK}:{page_port}/?url={quote(source, safe='')}"
+        self.url = f"http://{LOOPBACK}:{page_port}/?theme=dark&url={quote(source, safe='')}"
         options = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(page_port)]
         self._process = subprocess.Popen(
             ["/bin/sh", "-c", UNTIL_STDIN_CLOSES, "sh", _rerun_program(), *options, source],

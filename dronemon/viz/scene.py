@@ -53,7 +53,7 @@ class Scene:
             for kind in ("since_seen", "std"):
                 rec.log(entities.path("plots", kind, name), style, static=True)
         for key, title in entities.SERIES.items():
-            style = rr.SeriesLines(colors=entities.WHITE, names=title, widths=1.5)
+            style = rr.SeriesLines(colors=entities.BLUE, names=title, widths=1.5)
             rec.log(f"plots/{key}", style, static=True)
 
     def area(self, rec: rr.RecordingStream, area: AreaFrame, radius_m: float) -> None:
@@ -64,6 +64,7 @@ class Scene:
             "map/area",
             rr.LineStrips2D(
                 [entities.au_to_map(corners, area)],
+                draw_order=5.0,
                 colors=entities.GREY,
                 radii=rr.Radius.ui_points(1.0),
             ),
@@ -74,6 +75,7 @@ class Scene:
             "map/vehicle/footprint",
             rr.Ellipses2D(
                 half_sizes=[[radius_m, radius_m]],
+                draw_order=30.0,
                 colors=entities.WHITE,
                 line_radii=rr.Radius.ui_points(1.0),
             ),
@@ -86,6 +88,7 @@ class Scene:
                     np.array([[-0.6, 0.8], [0.0, -1.0], [0.6, 0.8], [0.0, 0.4], [-0.6, 0.8]])
                     * nose_m
                 ],
+                draw_order=40.0,
                 colors=entities.WHITE,
                 radii=rr.Radius.ui_points(1.5),
             ),
@@ -208,6 +211,7 @@ class Scene:
             entities.path("map", "seen", name),
             rr.Points2D(
                 [entities.au_to_map(self._seen_au[number], self._area)],
+                draw_order=60.0,
                 colors=entities.target_rgb(number),
                 radii=rr.Radius.ui_points(5.0),
                 labels=[name],
@@ -287,6 +291,7 @@ class Scene:
                 rr.Ellipses2D(
                     centers=[entities.au_to_map(position_au[number], self._area)],
                     half_sizes=[[ring_m, ring_m]],
+                    draw_order=50.0,
                     colors=entities.target_rgb(number),
                     line_radii=rr.Radius.ui_points(1.5),
                 ),

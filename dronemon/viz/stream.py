@@ -1,12 +1,13 @@
 """The flight as a Rerun recording: to a file, live on loopback, never in the flight's way.
 
 Every call puts one task into a bounded queue and returns; one worker thread turns tasks into Rerun
-data. When the queue is full the newest task is dropped and counted. A view that breaks stops
-recording and says so in `error`; the flight goes on.
+data. When the queue is full the newest task is dropped and counted. A task that fails is counted
+too, and `error` says why the first one did; the flight goes on.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import uuid
@@ -18,7 +19,6 @@ from types import TracebackType
 import numpy as np
 import rerun as rr
 
-from dronemon.errors import ViewError
 from dronemon.frames import AreaFrame
 from dronemon.types import (
     CameraModel,
@@ -30,12 +30,15 @@ from dronemon.types import (
     Pose,
 )
 from dronemon.viz import entities
+from dronemon.viz.file import RecordingFile
 from dronemon.viz.page import LOOPBACK, WebPage, check_port_is_free
 from dronemon.viz.scene import Level, Scene
 
 SERVER_MEMORY = "128MB"
 """What the live server keeps for viewers that come late; 300 pictures take about a quarter."""
 POSE_INTERVAL_S = 0.2
+FINISH_S = 5.0
+"""Limit on ending the recording once all that was waiting is written."""
 Task = Callable[[rr.RecordingStream, Scene], None]
 
 
@@ -44,6 +47,7 @@ class FlightView:
 
     targets: appearance of each target by name, in the order of all arrays; side_m, heading_rad:
     the area's, for the layout; port: of the live data; max_tasks, max_bytes: what may wait.
+    Arrays handed over must not change afterwards.
     """
 
     def __init__(
@@ -61,6 +65,7 @@ class FlightView:
         max_bytes: int = 64_000_000,
     ) -> None:
         self._rrd_path = rrd_path
+        self._file: RecordingFile | None = None
         self._title = title
         self._scene = Scene(targets=targets, camera=camera)
         self._blueprint = entities.blueprint(list(targets), side_m, heading_rad)
@@ -82,22 +87,18 @@ class FlightView:
 
     @property
     def error(self) -> str | None:
-        """Why recording stopped early, if it did."""
-        return self._queue.error
+        """What went wrong first, if anything did: the recording is then not complete."""
+        return (self._file.error if self._file else None) or self._queue.error
 
     def __enter__(self) -> FlightView:
         """Open the file and, live, server and page. Raises ViewError if one of them cannot be."""
         recording = rr.RecordingStream("dronemon", recording_id=str(uuid.uuid4()))
-        sinks: list[rr.FileSink | rr.GrpcServerSink] = [self._file_sink()]
-        if self._port is not None:
-            check_port_is_free(self._port)
-            sinks.append(
-                rr.GrpcServerSink(
-                    bind_ip=LOOPBACK, port=self._port, server_memory_limit=SERVER_MEMORY
-                )
-            )
-            self._web_page = WebPage(self._port)
-        recording.set_sinks(*sinks, default_blueprint=self._blueprint)
+        with contextlib.ExitStack() as undo:
+            server = self._serve(self._port, undo) if self._port is not None else []
+            self._file = RecordingFile(self._rrd_path)
+            undo.pop_all()
+        recording.set_sinks(self._file.sink(), *server, default_blueprint=self._blueprint)
+        self._file.handed_over()
         recording.send_recording_name(self._title)
         self._worker = threading.Thread(
             target=self._queue.work, args=(recording, self._scene), name="viz", daemon=True
@@ -117,7 +118,9 @@ class FlightView:
         """Finish the recording and end the page; what is not written by then is dropped."""
         self._queue.close(timeout_s)
         if self._worker is not None:
-            self._worker.join(timeout_s + 2.0)
+            self._worker.join(timeout_s + FINISH_S)
+        if self._file is not None:
+            self._file.wait(FINISH_S)
         if self._web_page is not None:
             self._web_page.close()
 
@@ -177,12 +180,11 @@ class FlightView:
         values = {key: value for key, value in given.items() if value is not None}
         self._queue.put(lambda rec, scene: scene.scalars(rec, time_s, values))
 
-    def _file_sink(self) -> rr.FileSink:
-        try:
-            self._rrd_path.touch()
-            return rr.FileSink(str(self._rrd_path))
-        except OSError as exc:
-            raise ViewError(f"cannot write the recording {self._rrd_path}: {exc.strerror}") from exc
+    def _serve(self, port: int, undo: contextlib.ExitStack) -> list[rr.GrpcServerSink]:
+        check_port_is_free(port)
+        self._web_page = WebPage(port)
+        undo.callback(self._web_page.close)
+        return [rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=SERVER_MEMORY)]
 
 
 class _BoundedQueue:
@@ -199,11 +201,10 @@ class _BoundedQueue:
         self._changed = threading.Condition()
 
     def put(self, task: Task, num_bytes: int = 0) -> None:
-        """Add a task, or drop and count it if the queue is full, closed or broken."""
+        """Add a task, or drop and count it if the queue is full or closed."""
         with self._changed:
             if (
                 self._deadline_s is not None
-                or self.error is not None
                 or len(self._tasks) >= self._max_tasks
                 or self._waiting_bytes + num_bytes > self._max_bytes
             ):
@@ -221,14 +222,14 @@ class _BoundedQueue:
 
     def work(self, rec: rr.RecordingStream, scene: Scene) -> None:
         """Do tasks until closed, then finish the recording; the worker thread's body."""
-        try:
-            scene.start(rec)
-            while (task := self._next()) is not None:
+        rr.set_strict_mode(True)  # errors are raised rather than printed
+        scene.start(rec)
+        while (task := self._next()) is not None:
+            try:
                 task(rec, scene)
-        except Exception as exc:  # noqa: BLE001  a view that breaks must not break the flight
-            self._drop_all(f"{type(exc).__name__}: {exc}")
-        finally:
-            rec.disconnect()
+            except Exception as exc:  # noqa: BLE001  no value may end the recording
+                self._count_failure(f"{type(exc).__name__}: {exc}")
+        rec.disconnect()
 
     def _next(self) -> Task | None:
         with self._changed:
@@ -239,12 +240,11 @@ class _BoundedQueue:
                 task, num_bytes = self._tasks.popleft()
                 self._waiting_bytes -= num_bytes
                 return task
-        self._drop_all(None)
-        return None
-
-    def _drop_all(self, error: str | None) -> None:
-        with self._changed:
-            self.error = error
             self.dropped += len(self._tasks)
             self._tasks.clear()
-            self._waiting_bytes = 0
+            return None
+
+    def _count_failure(self, reason: str) -> None:
+        with self._changed:
+            self.dropped += 1
+            self.error = self.error or reason
