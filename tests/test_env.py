@@ -1,0 +1,260 @@
+"""The vectorised environment against the single-vehicle code that flies."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from dronemon.belief import Belief
+from dronemon.belief.metrics import area_std
+from dronemon.env import Env, Setup
+from dronemon.policy import belief_features
+from dronemon.roadmap import Roadmap
+from dronemon.world import Instance, TargetPaths, measure, sample_leg
+
+
+def random_nodes(observation, rng):
+    """A random neighbour for each episode, drawn from its own generator."""
+    return torch.tensor(
+        [
+            generator.choice(row[mask].numpy())
+            for row, mask, generator in zip(
+                observation.neighbours, observation.neighbour_mask, rng, strict=True
+            )
+        ]
+    )
+
+
+def rollout(env, setups, decisions):
+    """Fly at random; each seed makes the same choices in any company."""
+    observation = env.reset(setups)
+    rng = [np.random.default_rng(setup.seed) for setup in setups]
+    steps = []
+    for _ in range(decisions):
+        steps.append(env.step(random_nodes(steps[-1].observation if steps else observation, rng)))
+    return observation, steps
+
+
+def stacked(steps, read):
+    return torch.stack([read(step) for step in steps])
+
+
+class Walker:
+    """One vehicle with a belief of its own, for comparison."""
+
+    def __init__(self, setup):
+        instance = Instance.draw(setup.seed, setup.num_targets)
+        self.setup, self.paths = setup, instance.paths
+        self.roadmap = Roadmap.random(
+            setup.num_nodes, 10, instance.stream("roadmap"), instance.start_au
+        )
+        self.belief = Belief(setup.num_targets)
+        self.position, self.time, self.residual, self.num_measured = instance.start_au, 0.0, 0.0, 0
+        for i, place in enumerate(self.paths.positions_au(0.0)):
+            self.belief.add_prior(i, place)
+
+    def fly(self, node):
+        goal = self.roadmap.nodes_au[node]
+        leg = sample_leg(self.position, goal, self.residual)
+        for offset, position in zip(leg.offsets_au, leg.positions_au, strict=True):
+            time = self.time + offset
+            targets = self.paths.positions_au(self.setup.speed_ratio * time)
+            self.belief.add(measure(time, position, targets))
+            self.num_measured += 1
+        self.time += float(np.linalg.norm(goal - self.position))
+        self.position, self.residual = goal, leg.residual_au
+
+    def frame(self):
+        def at(time):
+            nodes = self.roadmap.nodes_au
+            query = np.column_stack([nodes, np.full(len(nodes), time)])
+            return (torch.as_tensor(x) for x in self.belief.posterior(query))
+
+        return belief_features(*at(self.time), *at(self.time + 2.0))
+
+    def area_std(self):
+        targets = torch.as_tensor(self.paths.positions_au(self.setup.speed_ratio * self.time))
+        time = torch.full(targets.shape[:1], self.time, dtype=torch.float64)
+        return area_std(self.belief._posterior, targets[None], time[None])[0]
+
+
+def test_environment_equals_one_vehicle_over_many_short_legs():
+    setups = [
+        Setup(seed=10_000, num_targets=3, num_nodes=150, speed_ratio=0.1),
+        Setup(seed=10_001, num_targets=1, num_nodes=40, speed_ratio=0.9),
+        Setup(seed=10_002, num_targets=4, num_nodes=200, speed_ratio=0.0),
+    ]
+    walkers = [Walker(setup) for setup in setups]
+    first, steps = rollout(Env(), setups, 90)
+    before = []
+    for b, walker in enumerate(walkers):
+        shape = walker.roadmap.num_nodes, walker.setup.num_targets
+        got = first.frames[b, : shape[0], : shape[1]]
+        torch.testing.assert_close(got, walker.frame(), rtol=0, atol=1e-6)
+        before.append(walker.area_std())
+    for step in steps:
+        for b, walker in enumerate(walkers):
+            walker.fly(int(step.observation.node[b]))
+            shape = walker.roadmap.num_nodes, walker.setup.num_targets
+            got = step.observation.frames[b, : shape[0], : shape[1]]
+            torch.testing.assert_close(got, walker.frame(), rtol=0, atol=1e-6)
+            std = walker.area_std()
+            torch.testing.assert_close(step.area_std[b, : shape[1]], std, rtol=0, atol=1e-6)
+            assert step.area_std[b, shape[1] :].isnan().all()
+            reward = (before[b] - std).clamp_min(0.0).sum()
+            assert step.reward[b].item() == pytest.approx(reward.item(), abs=1e-6)
+            assert step.observation.length_au[b].item() == pytest.approx(walker.time, abs=1e-9)
+            before[b] = std
+    assert all(walker.num_measured == int(walker.time / 0.1 + 1e-9) for walker in walkers)
+    assert min(walker.time for walker in walkers) > 6.0, "long enough for the window to move"
+
+
+def test_instance_is_the_same_alone_and_in_company():
+    setups = [
+        Setup(seed=10_000 + k, num_targets=1 + k % 4, num_nodes=60 + 10 * (k % 3))
+        for k in range(16)
+    ]
+    together_first, together = rollout(Env(horizon_au=1.5), setups, 30)
+    for k in (0, 7, 10):
+        first, alone = rollout(Env(horizon_au=1.5), [setups[k]], 30)
+        nodes = stacked(alone, lambda s: s.observation.node)[:, 0]
+        assert (nodes == stacked(together, lambda s: s.observation.node)[:, k]).all()
+        reward = stacked(together, lambda s: s.reward)[:, k]
+        torch.testing.assert_close(
+            stacked(alone, lambda s: s.reward)[:, 0], reward, rtol=0, atol=1e-10
+        )
+        shape = first.frames.shape[1:3]
+        got = together_first.frames[k, : shape[0], : shape[1]]
+        torch.testing.assert_close(got, first.frames[0], rtol=0, atol=1e-6)
+
+
+def test_instance_is_the_same_in_another_process():
+    code = (
+        "import torch; from dronemon.env import Env, Setup; torch.set_num_threads(1);"
+        "o = Env().reset([Setup(seed=10_003, num_targets=2, num_nodes=50)]);"
+        "print(o.neighbours.tolist(), o.frames.double().sum().item())"
+    )
+    other = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    here = Env().reset([Setup(seed=10_003, num_targets=2, num_nodes=50)])
+    neighbours, total = other.stdout.rsplit(maxsplit=1)
+    assert neighbours == str(here.neighbours.tolist())
+    assert float(total) == pytest.approx(here.frames.double().sum().item(), abs=1e-4)
+
+
+def test_targets_walk_as_their_paths_say_also_past_the_end():
+    env = Env()
+    env.reset([Setup(seed=10_004, num_targets=5, num_nodes=20, speed_ratio=0.5)] * 2)
+    paths = TargetPaths(points_au=Instance.draw(10_004, 5).paths.points_au)
+    for time in (0.0, 0.3, 7.77, 11.0, 25.0, 300.1):
+        got = env._targets_at(torch.tensor([time, time + 0.05], dtype=torch.float64))
+        want = paths.positions_au(0.5 * np.array([time, time + 0.05]))
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
+
+
+def test_flight_ends_at_the_horizon_in_the_middle_of_a_leg():
+    env = Env(horizon_au=3.0, max_decisions=1000)
+    setup = Setup(seed=10_005, num_targets=2, num_nodes=30)
+    measured = []
+    env._measure = _recorded(env._measure, measured)
+    observation, rng = env.reset([setup]), [np.random.default_rng(0)]
+    while True:
+        step = env.step(random_nodes(observation, rng))
+        if step.terminated.any():
+            break
+        observation = step.observation
+        assert observation.length_au.item() < 3.0
+    assert len(measured) == 30
+    assert measured[-1].item() == pytest.approx(3.0)
+    assert not step.truncated.any()
+    assert step.observation.length_au.item() == 0.0
+    assert step.observation.node.item() == 0
+    assert not torch.equal(step.observation.neighbours, env.reset([setup]).neighbours)
+
+
+def _recorded(measure_once, times):
+    def recording(time_au, agent_au, active):
+        times.extend(time_au[active])
+        measure_once(time_au, agent_au, active)
+
+    return recording
+
+
+def test_decisions_run_on_over_restarts_until_all_are_taken():
+    env = Env(horizon_au=1.0, max_decisions=40)
+    _, steps = rollout(
+        env, [Setup(seed=10_006 + k, num_targets=2, num_nodes=40) for k in range(3)], 40
+    )
+    truncated = stacked(steps, lambda s: s.truncated)
+    assert not truncated[:-1].any()
+    assert truncated[-1].all()
+    terminated = stacked(steps, lambda s: s.terminated)
+    assert (terminated.sum(dim=0) >= 2).all()
+    after = stacked(steps, lambda s: s.observation.length_au)
+    assert (after[:-1][terminated[:-1]] == 0.0).all()
+    assert (after[:-1][~terminated[:-1]] > 0.0).all()
+
+
+def test_no_prior_lets_targets_join_when_seen():
+    setups = [
+        Setup(seed=10_007, num_targets=6, num_nodes=60, prior=prior)
+        for prior in ("full", "number", "none")
+    ]
+    first, steps = rollout(Env(), setups, 60)
+    assert first.target_mask.sum(dim=1).tolist() == [6, 6, 0]
+    assert (first.frames[0, :, :, 0].amax(dim=0) > 0.1).all()
+    for b in (1, 2):
+        assert (first.frames[b, :, :, 0::2] == 0.0).all()
+        assert (first.frames[b, :, :, 1::2] == 1.0).all()
+    joined = stacked(steps, lambda s: s.observation.target_mask)[:, 2]
+    assert (joined[1:] >= joined[:-1]).all()
+    assert 0 < joined[-1].sum() < 6
+    last = steps[-1].observation.frames
+    torch.testing.assert_close(last[2][:, joined[-1]], last[1][:, joined[-1]])
+    assert (last[2][:, ~joined[-1]][..., 1::2] == 1.0).all()
+
+
+def test_order_of_targets_is_the_order_of_their_beliefs():
+    few, many = (Setup(seed=10_008, num_targets=n, num_nodes=50) for n in (3, 12))
+    _, steps_few = rollout(Env(), [few], 30)
+    _, steps_many = rollout(Env(), [many], 30)
+    for a, b in zip(steps_few, steps_many, strict=True):
+        torch.testing.assert_close(a.observation.frames, b.observation.frames[:, :, :3])
+
+
+def test_node_that_is_no_neighbour_is_refused():
+    env = Env()
+    observation = env.reset([Setup(seed=10_009, num_targets=1, num_nodes=50)] * 2)
+    allowed = observation.neighbours[0][observation.neighbour_mask[0]].tolist()
+    far = next(node for node in range(51) if node not in allowed and node != 0)
+    for node in (far, 0):
+        with pytest.raises(ValueError, match=r"episode 1: node \d+ is no neighbour of node 0"):
+            env.step(torch.tensor([allowed[0], node]))
+
+
+def agrees_with_double_precision(**options):
+    setups = [Setup(seed=10_010 + k, num_targets=3, num_nodes=80) for k in range(4)]
+    env = Env(**options)
+    observation, double = env.reset(setups), Env()
+    double.reset(setups)
+    rng = [np.random.default_rng(setup.seed) for setup in setups]
+    for _ in range(70):
+        nodes = random_nodes(observation, rng)
+        want, got = double.step(nodes), env.step(nodes.to(env.graphs.neighbours.device))
+        observation = want.observation
+        frames = got.observation.frames.cpu()
+        torch.testing.assert_close(frames, observation.frames, rtol=0, atol=5e-3)
+        torch.testing.assert_close(got.reward.cpu().double(), want.reward, rtol=0, atol=5e-3)
+
+
+def test_single_precision_is_near_double_precision():
+    agrees_with_double_precision(dtype=torch.float32)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_device_is_near_the_processor(dtype):
+    agrees_with_double_precision(dtype=dtype, device="cuda")
