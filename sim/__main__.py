@@ -11,6 +11,7 @@ import asyncio
 import json
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -30,10 +31,10 @@ from sim.world import TruthFile, World
 _LOG = logging.getLogger("sim")
 
 
-def main() -> int:
-    """Run the simulator. -> exit status."""
+def main(arguments: list[str] | None = None) -> int:
+    """Run the simulator with these or the process's arguments. -> exit status."""
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="sim: %(message)s")
-    options = _parser().parse_args()
+    options = _parse(arguments)
     try:
         mission = load_mission(find_mission(options.mission)).mission
         with TruthFile(options.truth) as truth:
@@ -124,7 +125,7 @@ def _wait_for_parent(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> No
     loop.call_soon_threadsafe(stop.set)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m sim", description=__doc__)
     parser.add_argument("mission", help="mission file, or the name of a shipped mission")
     parser.add_argument(
@@ -152,7 +153,12 @@ def _parser() -> argparse.ArgumentParser:
         help="no autopilot: world and camera follow the vehicle heard there",
     )
     parser.add_argument("--parent", action="store_true", help="end when stdin closes")
-    return parser
+    options = parser.parse_args(arguments)
+    if options.follow is None and not options.mavlink_out:
+        parser.error("nobody would hear the autopilot: give --mavlink-out or --follow")
+    if options.follow is not None and (options.mavlink_out or options.fault or options.speed_up):
+        parser.error("--follow has no autopilot: --mavlink-out, --fault, --speed-up do not apply")
+    return options
 
 
 _T = TypeVar("_T")
@@ -171,10 +177,12 @@ def _checked(parse: Callable[[str], _T]) -> Callable[[str], _T]:
 
 
 def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not port.isdigit() or not 0 < int(port) < 65536:
-        raise argparse.ArgumentTypeError(f"{text!r} is not IP:PORT, such as 127.0.0.1:14540")
-    return host, int(port)
+    match = re.fullmatch(r"(127(?:\.\d{1,3}){3}):(\d{1,5})", text)
+    if match is None or not 0 < int(match[2]) < 65536:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not IP:PORT on loopback, such as 127.0.0.1:14540"
+        )
+    return match[1], int(match[2])
 
 
 def _speed_up(text: str) -> float:

@@ -65,6 +65,7 @@ class Autopilot:
 
     def reboot(self) -> None:
         """Start again as after power-up: at the start, on the ground, time 0."""
+        self._num_steps = 0
         self.time_s = 0.0
         self.num_boots += 1
         self.body = Quadrotor(self._start_ned_m, 0.0, self._make_wind())
@@ -137,7 +138,8 @@ class Autopilot:
 
     def step(self) -> None:
         """One step of the vehicle's time."""
-        self.time_s += STEP_S
+        self._num_steps += 1
+        self.time_s = self._num_steps * STEP_S
         if self.is_ready and not self.has_home:
             self.set_home(self.estimate.position)
             self.say(Severity.INFO, "Ready for takeoff!")

@@ -49,6 +49,7 @@ class Follower(asyncio.DatagramProtocol):
         self._time_s = -math.inf
         self._walking_s = 0.0
         self._is_armed = self._was_armed = False
+        self._camera: CameraServer | None = None
         self._attitude: Any = None
         self._position: Any = None
         self._home_ned_m: Vector3 | None = None
@@ -74,17 +75,24 @@ class Follower(asyncio.DatagramProtocol):
     ) -> None:
         self._transport.close()
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """IP and port at which it listens."""
+        host, port = self._transport.get_extra_info("sockname")
+        return host, port
+
     async def run(self, camera: CameraServer) -> None:
         """Keep the vehicle streaming and ask for what is missing, until cancelled.
 
         The camera is silent while there is nothing to show.
         """
+        self._camera = camera
+        camera.silent = not self.is_ready
         while True:
-            camera.silent = not self.is_ready
             if self._vehicle_address is not None:
                 self._send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
-            if self._vehicle is not None and not self.is_ready:
-                self._ask()
+            if not self.is_ready:
+                self.ask()
             await asyncio.sleep(_HEARTBEAT_INTERVAL_S)
 
     def scene(self) -> Scene:
@@ -98,6 +106,8 @@ class Follower(asyncio.DatagramProtocol):
         """Take what the vehicle sends (asyncio's callback)."""
         for message in self._mav.parse_buffer(data) or ():
             self._hear(message, addr)
+        if self._camera is not None:
+            self._camera.silent = not self.is_ready
 
     def error_received(self, exc: Exception) -> None:
         """The vehicle is away (asyncio's callback); it may come back."""
@@ -155,9 +165,10 @@ class Follower(asyncio.DatagramProtocol):
             ),
         )
 
-    def _ask(self) -> None:
-        """Ask for home, origin and a pose at useful rates."""
-        assert self._vehicle is not None
+    def ask(self) -> None:
+        """Ask the vehicle, if one is heard, for home, origin and a pose at useful rates."""
+        if self._vehicle is None:
+            return
         commands = [
             (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0),
             (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, 0.0),

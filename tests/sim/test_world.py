@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ground_station import make_mission
+
+from dronemon.frames import GeoPoint, ned_to_geo
+from sim.faults import Fault, FaultSchedule, parse_fault
+from sim.geodesy import LocalMap
+from sim.simulation import HOME_NED_M, Simulation
+from sim.world import TruthFile, World
+
+ORIGIN = GeoPoint(latitude_deg=47.0, longitude_deg=8.0, altitude_m=400.0)
+
+
+def test_targets_walk_at_the_speed_ratio() -> None:
+    mission = make_mission(area={"side_m": 250}, flight={"cruise_speed_m_s": 4, "altitude_m": 40})
+    world = World(mission)
+    assert world.walked_au(100.0) == pytest.approx(0.05 * 4.0 * 100.0 / 250.0)
+    assert world.walked_au(-5.0) == 0.0
+    steps_au = np.linalg.norm(
+        np.diff([world.targets_au(t) for t in (30.0, 30.5)], axis=0)[0], axis=1
+    )
+    assert (steps_au <= 0.05 * 4.0 * 0.5 / 250.0 + 1e-12).all()
+
+
+def test_animals_face_where_they_walk() -> None:
+    world = World(make_mission(area={"heading_deg": 30.0}))
+    simulation = Simulation(make_mission(), world)
+    frame = world.frame(HOME_NED_M, ORIGIN)
+    pose = simulation.autopilot.body.pose(1.0)
+    before, after = world.scene(pose, 40.0, frame), world.scene(pose, 40.1, frame)
+    for a, b in zip(before.animals, after.animals, strict=True):
+        north, east = (y - x for x, y in zip(a.position_ned_m, b.position_ned_m, strict=True))
+        assert math.hypot(north, east) == pytest.approx(0.05 * 5.0 * 0.1, rel=1e-3)
+        assert math.cos(math.atan2(east, north) - a.heading_rad) > 0.999
+        assert b.walked_m - a.walked_m == pytest.approx(0.025)
+
+
+def test_animals_rest_until_the_vehicle_is_armed() -> None:
+    mission = make_mission()
+    simulation = Simulation(mission, World(mission))
+    for _ in range(700):
+        simulation.step()
+    at_rest = simulation.scene().animals
+    assert simulation.autopilot.arm()
+    for _ in range(300):
+        simulation.step()
+    moved = [
+        math.dist(a.position_ned_m, b.position_ned_m)
+        for a, b in zip(at_rest, simulation.scene().animals, strict=True)
+    ]
+    assert moved == pytest.approx([0.25 * 3.0] * 2, rel=0.05)
+
+
+def test_area_is_around_home_or_its_coordinates() -> None:
+    home = World(make_mission()).frame((5.0, 6.0, 7.0), ORIGIN)
+    assert home.centre_ned_m == (5.0, 6.0)
+    assert home.ground_down_m == 7.0
+    place = ned_to_geo(np.array([100.0, -50.0, 0.0]), ORIGIN)
+    area = {"latitude_deg": place.latitude_deg, "longitude_deg": place.longitude_deg}
+    frame = World(make_mission(area=area)).frame((5.0, 6.0, 7.0), ORIGIN)
+    assert frame.centre_ned_m == pytest.approx((100.0, -50.0), abs=1e-3)
+
+
+def test_mock_stands_at_the_areas_coordinates() -> None:
+    mission = make_mission(area={"latitude_deg": -33.9, "longitude_deg": 18.4})
+    autopilot = Simulation(mission, World(mission)).autopilot
+    latitude, longitude, _ = autopilot.map.to_geo(autopilot.body.position)
+    assert (latitude, longitude) == pytest.approx((-33.9, 18.4), abs=1e-6)
+
+
+def test_local_map_agrees_with_the_exact_one() -> None:
+    local = LocalMap(ORIGIN)
+    for place in ((300.0, -400.0, -30.0), (-700.0, 500.0, 10.0)):
+        exact = ned_to_geo(np.array(place), ORIGIN)
+        latitude, longitude, altitude = local.to_geo(place)
+        assert (latitude - exact.latitude_deg) * 111e3 == pytest.approx(0.0, abs=0.15)
+        assert (longitude - exact.longitude_deg) * 76e3 == pytest.approx(0.0, abs=0.15)
+        assert altitude == pytest.approx(exact.altitude_m, abs=0.15)
+        assert local.to_ned(latitude, longitude, altitude) == pytest.approx(place, abs=1e-6)
+
+
+def test_truth_file_has_a_line_for_each_scene(tmp_path: Path) -> None:
+    mission = make_mission()
+    simulation = Simulation(mission, World(mission))
+    path = tmp_path / "truth.jsonl"
+    with TruthFile(path) as truth:
+        truth.write(simulation.scene())
+        first = json.loads(path.read_text(encoding="utf-8"))
+    assert first["agent_au"] == pytest.approx([0.5, 0.5])
+    np.testing.assert_allclose(first["targets_au"], World(mission).targets_au(0.0))
+    assert first["position_ned_m"] == list(HOME_NED_M)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("silence@60+10", Fault(kind="silence", at_s=60.0, duration_s=10.0)),
+        ("gps@5.5", Fault(kind="gps", at_s=5.5)),
+        ("battery=0.1@120", Fault(kind="battery", at_s=120.0, value=0.1)),
+    ],
+)
+def test_fault_is_read(text: str, fault: Fault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "storm@3", "gps", "gps@", "gps@x", "gps=1@3", "battery@3", "battery=2@3", "pilot@3+1"],
+)
+def test_bad_fault_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"is not|takes"):
+        parse_fault(text)
+
+
+def test_faults_switch_on_and_off_in_order() -> None:
+    seen: list[object] = []
+    schedule = FaultSchedule(
+        (parse_fault("gps@2+3"), parse_fault("battery=0.2@4"), parse_fault("gps@8")),
+        switches={"gps": seen.append},
+        events={"battery": seen.append},
+    )
+    schedule.advance(1.9)
+    assert seen == []
+    schedule.advance(4.0)
+    assert seen == [True, 0.2]
+    schedule.advance(20.0)
+    assert seen == [True, 0.2, False, True]
