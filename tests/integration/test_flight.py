@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from conftest import StartMockVehicle, free_udp_port
 
 ROOT = Path(__file__).parents[2]
 
@@ -135,3 +136,24 @@ def test_ctrl_c_twice_lands_on_the_spot(fly: Callable[..., Flight]):
     assert flight.summary()["is_landed"]
     assert "landing here" in output
     _verify(flight)
+
+
+def test_a_vehicle_at_a_url_with_animals_that_follow_it(
+    fly: Callable[..., Flight], mock_vehicle: StartMockVehicle
+):
+    """The way a PX4 is flown: one link to fly, another one for the simulated camera."""
+    follow_port = free_udp_port()
+    vehicle = mock_vehicle(
+        "animals", "--speed-up", "10", "--mavlink-out", f"127.0.0.1:{follow_port}"
+    )
+    flight = fly(
+        *("--planner", "tsp", "--horizon-au", "1"),
+        *("--vehicle", vehicle.url, "--follow", f"udpin://127.0.0.1:{follow_port}"),
+    )
+    code, output = flight.finish()
+    assert code == 0, output
+    summary = flight.summary()
+    assert summary["is_landed"]
+    assert len(flight.lines("observations")) in {9, 10}
+    assert summary["unc"] is not None
+    assert vehicle.scenes() == []  # its own camera was not asked

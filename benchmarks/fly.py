@@ -1,0 +1,141 @@
+"""What flying costs: `python benchmarks/fly.py [--planner P] [--horizon-au H] [--speed-up S]`.
+
+Two figures, each beside its limit and as a ratio to it:
+- processor time of the application over the patrol, per second of vehicle time, at real-time speed
+  (the simulator, a process of its own, apart); limit 0.5 core;
+- belief update plus planning, 99th percentile over 300 measurements of 3 targets with 200 nodes;
+  limit 20 ms. A belief update is one measurement added, and the posteriors at all nodes now and
+  2 au ahead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from dronemon.belief import Belief
+from dronemon.planner import Briefing, Snapshot
+from dronemon.planner.registry import create_planner
+from dronemon.roadmap import Roadmap
+from dronemon.world import Instance
+from dronemon.world.sensing import measure
+
+CPU_LIMIT = 0.5
+DECISION_LIMIT_MS = 20.0
+NUM_TARGETS, NUM_NODES, NUM_NEIGHBOURS, SPEED_RATIO = 3, 200, 10, 0.05
+
+
+def processor_share(planner: str, horizon_au: float, speed_up: float) -> float:
+    """Fly, and read the application's own processor time between patrol and homecoming."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        options = ["--planner", planner, "--horizon-au", f"{horizon_au}", "--out", str(out)]
+        child = subprocess.Popen(
+            [sys.executable, "-m", "dronemon.cli", "fly", "--speed-up", f"{speed_up}", *options],
+            stdout=subprocess.DEVNULL,
+        )
+        times = []
+        for kind in ("patrol", "homecoming"):
+            _wait_for(out / "events.jsonl", kind, child)
+            times.append((_processor_s(child.pid), time.monotonic()))
+        child.wait()
+    (cpu_start, wall_start), (cpu_end, wall_end) = times
+    return (cpu_end - cpu_start) / (wall_end - wall_start)
+
+
+def _wait_for(events: Path, kind: str, child: subprocess.Popen[bytes]) -> None:
+    while child.poll() is None:
+        if events.exists() and any(
+            json.loads(line)["kind"] == kind for line in events.read_text().splitlines()
+        ):
+            return
+        time.sleep(0.05)
+    sys.exit(f"the flight ended before {kind}")
+
+
+def _processor_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def decision_ms(planner_name: str, seed: int) -> np.ndarray:
+    """Time of belief update plus planning at each measurement of one episode. -> (300,) ms."""
+    instance = Instance.draw(seed, NUM_TARGETS)
+    rng = instance.stream("roadmap")
+    roadmap = Roadmap.random(NUM_NODES, NUM_NEIGHBOURS, rng, instance.start_au)
+    belief, planner = Belief(NUM_TARGETS), create_planner(planner_name)
+    priors_au = instance.paths.positions_au(0.0)
+    for index, prior_au in enumerate(priors_au):
+        belief.add_prior(index, prior_au)
+    planner.reset(
+        Briefing(
+            num_targets=NUM_TARGETS,
+            priors_au=priors_au,
+            start_au=instance.start_au,
+            horizon_au=30.0,
+            rng=instance.stream("planner"),
+        ),
+        roadmap,
+    )
+    position_au, node, times_ms = instance.start_au, 0, []
+    waypoint = None
+    for step in range(300):
+        time_au = 0.1 * (step + 1)
+        if waypoint is not None:
+            position_au, node = waypoint.position_au, waypoint.node
+        measurement = measure(
+            time_au, position_au, instance.paths.positions_au(SPEED_RATIO * time_au)
+        )
+        began = time.perf_counter()
+        belief.add(measurement)
+        for ahead_au in (0.0, 2.0):
+            when = np.full((roadmap.num_nodes, 1), time_au + ahead_au)
+            belief.posterior(np.concatenate([roadmap.nodes_au, when], axis=1))
+        waypoint = planner.next_waypoint(
+            Snapshot(
+                time_au=time_au,
+                position_au=position_au,
+                node=node,
+                measurements=(measurement,),
+                belief=belief,
+                roadmap=roadmap,
+                remaining_au=30.0 - time_au,
+            )
+        )
+        times_ms.append((time.perf_counter() - began) * 1e3)
+    return np.array(times_ms)
+
+
+def main() -> None:
+    """Run both and print them."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--planner", default="tsp")
+    parser.add_argument("--horizon-au", type=float, default=1.5)
+    parser.add_argument("--speed-up", type=float, default=1.0)
+    parser.add_argument("--seed", type=int, default=10_000)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    times = decision_ms(options.planner, options.seed)
+    p50, p99 = np.percentile(times, [50, 99])
+    print(
+        f"belief update + planning ({options.planner}): p50 {p50:.2f} ms, p99 {p99:.2f} ms, "
+        f"limit {DECISION_LIMIT_MS:g} ms, ratio {p99 / DECISION_LIMIT_MS:.2f}"
+    )
+    share = processor_share(options.planner, options.horizon_au, options.speed_up)
+    print(
+        f"application at {options.speed_up:g}x: {share:.2f} cores, limit {CPU_LIMIT:g} at 1x, "
+        f"ratio {share / CPU_LIMIT:.2f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

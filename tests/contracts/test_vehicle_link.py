@@ -1,0 +1,162 @@
+"""What every vehicle link owes a mission, over real MAVSDK and UDP to the simulated vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+
+import pytest
+from conftest import free_udp_port
+
+from dronemon.errors import CommandUnconfirmed, ControlTaken, LinkLost, LinkTimeout
+from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
+from dronemon.vehicle.mavsdk_link import MavsdkLink
+
+Story = Callable[[VehicleLink], Awaitable[None]]
+
+
+@asynccontextmanager
+async def _mavsdk(url: str) -> AsyncIterator[VehicleLink]:
+    async with MavsdkLink(url, command_timeout_s=9.0, link_loss_timeout_s=2.0) as link:
+        yield link
+
+
+LINKS = {"mavsdk": _mavsdk}
+
+
+@pytest.fixture(params=LINKS)
+def with_link(request, mock_vehicle):
+    """Run a story with a ready link to a fresh vehicle; `faults` as for `python -m sim`."""
+
+    def run(story: Story, *faults: str) -> None:
+        options = [word for fault in faults for word in ("--fault", fault)]
+        vehicle = mock_vehicle("animals", "--speed-up", "20", *options)
+
+        async def tell() -> None:
+            async with asyncio.timeout(60), LINKS[request.param](vehicle.url) as link:
+                await link.wait_ready(30.0)
+                await story(link)
+
+        asyncio.run(tell())
+
+    return run
+
+
+def _here(link: VehicleLink, speed_m_s: float = 0.0) -> Setpoint:
+    return Setpoint(
+        position_ned_m=link.pose.position_ned_m,
+        velocity_ned_m_s=(speed_m_s, 0.0, 0.0),
+        yaw_rad=0.0,
+    )
+
+
+async def _hover(link: VehicleLink, duration_s: float) -> None:
+    end_s = link.time_s + duration_s
+    while link.time_s < end_s:
+        await link.next_pose()
+        await link.send_setpoint(_here(link))
+
+
+def test_a_flight_is_confirmed_step_by_step(with_link):
+    async def story(link: VehicleLink) -> None:
+        assert link.state.home is not None
+        assert link.state.origin is not None
+        assert not link.state.is_armed
+        await link.arm()
+        assert link.state.is_armed
+        down_m = link.pose.position_ned_m[2]
+        await link.take_off(12.0)
+        assert down_m - link.pose.position_ned_m[2] == pytest.approx(12.0, abs=1.5)
+        await link.start_offboard(_here(link))
+        assert link.state.mode is Mode.OFFBOARD
+        await _hover(link, 3.0)
+        await link.hold()
+        assert link.state.mode is Mode.HOLD
+        await link.return_home()
+        assert link.state.mode is Mode.RETURN
+        await link.land()
+        assert link.state.mode is Mode.LAND
+        await link.wait_until(lambda: not link.state.is_armed, "disarming", 120.0)
+        assert link.state.landed is Landed.ON_GROUND
+
+    with_link(story)
+
+
+def test_poses_come_in_order_and_enclose_an_instant(with_link):
+    async def story(link: VehicleLink) -> None:
+        times = [(await link.next_pose()).time_s for _ in range(50)]
+        assert times == sorted(set(times))
+        asked_s = link.time_s + 0.5
+        before, after = await link.poses_around(asked_s)
+        assert before.time_s <= asked_s <= after.time_s
+        assert after.time_s - before.time_s < 0.2
+        assert all(math.isfinite(v) for v in before.position_ned_m + before.attitude_rad)
+
+    with_link(story)
+
+
+def test_waiting_has_a_limit_in_vehicle_time(with_link):
+    async def story(link: VehicleLink) -> None:
+        began_s = link.time_s
+        with pytest.raises(CommandUnconfirmed, match=r"the moon: not seen .* after 5 s .*disarmed"):
+            await link.wait_until(lambda: False, "the moon", 5.0)
+        assert 5.0 <= link.time_s - began_s < 8.0
+
+    with_link(story)
+
+
+def test_the_pilot_wins(with_link):
+    async def story(link: VehicleLink) -> None:
+        await link.arm()
+        await link.take_off(5.0)
+        await link.start_offboard(_here(link))
+        with pytest.raises(ControlTaken, match="the pilot chose mode 'position'"):
+            await _hover(link, 120.0)
+        assert link.state.mode is Mode.POSITION
+        link.release()
+        await link.next_pose()
+
+    with_link(story, "pilot@20")
+
+
+def test_silence_is_noticed(with_link):
+    async def story(link: VehicleLink) -> None:
+        await link.arm()
+        await link.take_off(5.0)
+        with pytest.raises(LinkLost, match=r"nothing heard .* for 2 s"):
+            await link.wait_until(lambda: False, "never", 300.0)
+
+    with_link(story, "silence@15")
+
+
+def test_setpoints_that_stop_end_offboard(with_link):
+    async def story(link: VehicleLink) -> None:
+        await link.arm()
+        await link.take_off(5.0)
+        await link.start_offboard(_here(link))
+        with pytest.raises(ControlTaken, match="failsafe"):
+            await link.wait_until(lambda: False, "never", 30.0)
+        assert link.state.is_failsafe
+
+    with_link(story)
+
+
+def test_nobody_there():
+    async def listen() -> None:
+        url = f"udpin://127.0.0.1:{free_udp_port()}"
+        async with MavsdkLink(url, connect_timeout_s=0.5):
+            pass
+
+    with pytest.raises(LinkTimeout, match=r"no autopilot heard on .* after 0.5 s"):
+        asyncio.run(listen())
+
+
+def test_a_url_that_cannot_be_opened():
+    async def connect() -> None:
+        async with MavsdkLink("udpin://300.0.0.1:14540", connect_timeout_s=0.5):
+            pass
+
+    with pytest.raises(LinkTimeout, match="cannot open"):
+        asyncio.run(connect())
