@@ -99,8 +99,8 @@ def mock_vehicle(tmp_path: Path) -> Iterator[StartMockVehicle]:
         assert process.stdout is not None
         process.stdin.close()  # --parent: this ends it
         try:
-            process.wait(END_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
+            assert process.wait(END_TIMEOUT_S) in (0, -signal.SIGTERM, -signal.SIGKILL)
+        finally:
             process.kill()
             process.wait()
-        process.stdout.close()
+            process.stdout.close()
