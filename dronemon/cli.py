@@ -21,7 +21,7 @@ import yaml
 from rich.console import Console
 
 import dronemon
-from dronemon.camera import FrameSource, SimulatedCamera
+from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
 from dronemon.errors import DronemonError, OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission, shipped_missions
 from dronemon.mission.load import outbound_min, usable_min
@@ -220,11 +220,10 @@ async def _with_everything(
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
         link = await stack.enter_async_context(_link(mission, sim, recorder))
-        camera = await stack.enter_async_context(_camera(mission, sim))
         result = await fly(
             mission,
             link=link,
-            camera=camera,
+            camera=_camera(mission, sim, link),
             planner=planner,
             priors_au=priors_au,
             recorder=recorder,
@@ -262,9 +261,13 @@ def _link(mission: Mission, sim: Simulator | None, recorder: RunRecorder) -> Mav
     )
 
 
-def _camera(mission: Mission, sim: Simulator | None) -> FrameSource:
-    assert sim is not None
-    return SimulatedCamera(sim.camera_url, timeout_s=mission.camera.timeout_s)
+def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameSource:
+    camera = mission.camera
+    if camera.is_simulated:
+        assert sim is not None  # _check_flight
+        return SimulatedCamera(sim.camera_url, timeout_s=camera.timeout_s)
+    source = int(camera.url) if camera.url.isdigit() else camera.url
+    return VideoCamera(source, timeout_s=camera.timeout_s, latency_s=camera.latency_s, clock=link)
 
 
 def _as_flown(mission: Mission) -> str:

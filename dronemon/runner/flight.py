@@ -77,7 +77,7 @@ async def fly(
     interrupts: Interrupts,
     audience: Audience,
 ) -> FlightResult:
-    """Fly one mission with a connected vehicle and camera, from readiness to disarmed.
+    """Fly one mission with a connected vehicle and a camera to open, from ready to disarmed.
 
     priors_au: (N, 2) au known positions of the targets, NaN where unknown.
     Never raises a DronemonError: what went wrong is in the result, after the drone came home.
@@ -114,9 +114,14 @@ class _Flight:
         self._patrol: Patrol | None = None
         self._pilot_flies = False
         self._is_coming_home = False
+        self._exit = contextlib.AsyncExitStack()
         self._time_s: float | None = None
 
     async def run(self) -> FlightResult:
+        async with self._exit:  # closes the camera
+            return await self._fly()
+
+    async def _fly(self) -> FlightResult:
         outcome, error = "failed", None
         try:
             async with self._interruptible():
@@ -164,6 +169,7 @@ class _Flight:
         mission, link = self._mission, self._link
         self._status("waiting for the vehicle")
         await link.wait_ready(mission.vehicle.ready_timeout_s)
+        await self._exit.enter_async_context(self._camera)  # its clock is the vehicle's
         frame = await self._lay_area()
         self._check_distance(frame)
         start_au, roadmap = self._draw_start_and_roadmap()
