@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import struct
 from collections.abc import Awaitable, Callable
@@ -9,12 +10,13 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from ground_station import GroundStation
+from ground_station import FAULTLESS, GroundStation, make_mission
 from pymavlink.dialects.v20 import common as mavlink
 
-from sim.faults import parse_fault
+from sim.faults import Fault, parse_fault
 from sim.modes import Mode
-from sim.simulation import HOME_NED_M
+from sim.simulation import HOME_NED_M, Simulation
+from sim.world import World
 
 Story = Callable[[GroundStation], Awaitable[None]]
 Run = Callable[..., None]
@@ -22,6 +24,30 @@ NAN = float("nan")
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 POSITION_AND_YAW, VELOCITY_AND_YAW = 2552, 2503
+
+
+@pytest.fixture
+def with_station() -> Run:
+    """Runs `story(station)` with a vehicle that has just booted; faults may be given."""
+
+    def run(
+        story: Callable[[GroundStation], Awaitable[None]], faults: tuple[Fault, ...] = FAULTLESS
+    ) -> None:
+        mission = make_mission()
+
+        async def tell() -> None:
+            station = GroundStation(Simulation(mission, World(mission), faults))
+            await station.open()
+            try:
+                await station.fly(6.0)
+                await story(station)
+            finally:
+                station.close()
+                station.simulation.close_links()
+
+        asyncio.run(tell())
+
+    return run
 
 
 def velocity_setpoint(frame: int, north: float, mask: int = VELOCITY_AND_YAW) -> Any:
