@@ -213,7 +213,7 @@ class Env:
         total = torch.floor(end_au / MEASUREMENT_INTERVAL_AU + 1e-9).long()
         for number in range(1, int((total - self._num_measured).max()) + 1):
             index = self._num_measured + number
-            time_au = index * MEASUREMENT_INTERVAL_AU
+            time_au = index.double() * MEASUREMENT_INTERVAL_AU
             share = ((time_au - self._length_au) / leg_au).clamp(0.0, 1.0)
             self._measure(time_au, self._position_au + share[:, None] * offset_au, index <= total)
         share = (end_au - self._length_au) / leg_au

@@ -15,6 +15,15 @@ from dronemon.roadmap import Roadmap
 from dronemon.world import Instance, TargetPaths, measure, sample_leg
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    """Matrices this small only lose by waiting for a second thread."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 def random_nodes(observation, rng):
     """A random neighbour for each episode, drawn from its own generator."""
     return torch.tensor(
@@ -101,10 +110,10 @@ def test_environment_equals_one_vehicle_over_many_short_legs():
             got = step.observation.frames[b, : shape[0], : shape[1]]
             torch.testing.assert_close(got, walker.frame(), rtol=0, atol=1e-6)
             std = walker.area_std()
-            torch.testing.assert_close(step.area_std[b, : shape[1]], std, rtol=0, atol=1e-6)
+            torch.testing.assert_close(step.area_std[b, : shape[1]], std, rtol=0, atol=1e-8)
             assert step.area_std[b, shape[1] :].isnan().all()
             reward = (before[b] - std).clamp_min(0.0).sum()
-            assert step.reward[b].item() == pytest.approx(reward.item(), abs=1e-6)
+            assert step.reward[b].item() == pytest.approx(reward.item(), abs=1e-8)
             assert step.observation.length_au[b].item() == pytest.approx(walker.time, abs=1e-9)
             before[b] = std
     assert all(walker.num_measured == int(walker.time / 0.1 + 1e-9) for walker in walkers)

@@ -6,6 +6,7 @@ Source: paper, section IV-B.3, after Dwivedi & Bresson (2020).
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from dronemon.roadmap.graph import Roadmap
 from dronemon.types import FloatArray
@@ -20,7 +21,8 @@ def laplacian_encoding(roadmap: Roadmap, num_eigenvectors: int = NUM_EIGENVECTOR
     """
     # Differs from STAMP: its Laplacian is unsymmetric because np.matmul wrote into the degrees.
     count = min(num_eigenvectors, roadmap.num_nodes - 1)
-    vectors = np.linalg.eigh(_normalised_laplacian(roadmap)).eigenvectors[:, 1 : 1 + count]
+    laplacian = torch.as_tensor(_normalised_laplacian(roadmap))
+    vectors = torch.linalg.eigh(laplacian).eigenvectors.numpy()[:, 1 : 1 + count]
     peak = np.abs(vectors).argmax(axis=0)
     signed = vectors * np.sign(np.take_along_axis(vectors, peak[None], axis=0))
     return np.pad(signed, ((0, 0), (0, num_eigenvectors - count)))
