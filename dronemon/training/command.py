@@ -84,7 +84,7 @@ def train_command(
 ) -> None:
     """Train a policy. Kill it whenever you like: the same command goes on where it was.
 
-    Several GPUs: torchrun --nproc-per-node 4 -m dronemon train --recipe paper ...
+    Several GPUs: torchrun --nproc-per-node 4 -m dronemon.training --recipe paper ...
     """
     paper, expert = PpoConfig(decisions=decisions), ExpertConfig(decisions=decisions)
     if episodes is not None:

@@ -1,0 +1,183 @@
+"""Runs of training: they log what is defined, can be killed at any point, and go on as if not."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from dronemon.errors import CheckpointMismatch
+from dronemon.policy import NetworkConfig, load_checkpoint, read_tensors
+from dronemon.training import METRICS, Plan, train
+from dronemon.training.imitation import ExpertConfig
+from dronemon.training.ppo import PpoConfig
+
+SMALL = NetworkConfig(width=16, num_heads=2, feed_forward=24, distance_bias=True)
+PAPER = PpoConfig(
+    episodes_per_iteration=3,
+    decisions=12,
+    epochs=2,
+    minibatch_episodes=2,
+    num_nodes=(20, 30),
+    history=(8, 12),
+)
+EXPERT = ExpertConfig(
+    round_episodes=2,
+    first_episodes=2,
+    decisions=8,
+    updates=2,
+    workers=1,
+    num_nodes=(20, 30),
+    history=(8, 12),
+    num_targets=(2, 3),
+    finish=replace(PAPER, objective="unc"),
+)
+
+
+class Stop(Exception):
+    """What a test kills a run with."""
+
+
+def make_plan(out: Path, **changes: object) -> Plan:
+    plan = Plan(
+        out=out,
+        recipe="paper",
+        network=SMALL,
+        paper=PAPER,
+        expert=EXPERT,
+        minutes=1e6,
+        device="cpu",
+        validation_minutes=0.0,
+        validation_episodes=1,
+        validation_decisions=5,
+    )
+    return replace(plan, **changes)
+
+
+def run(plan: Plan, iterations: int) -> None:
+    """Train until so many iterations are recorded, then stop as a kill would."""
+
+    def listen(progress: float, metrics: Mapping[str, float]) -> None:
+        assert progress >= 0.0
+        assert metrics.keys() <= METRICS.keys()
+        if metrics["iteration"] >= iterations:
+            raise Stop
+
+    with pytest.raises(Stop):
+        train(plan, command="test", listen=listen)
+
+
+@pytest.mark.parametrize("recipe", ["paper", "expert"])
+def test_a_resumed_run_equals_one_that_was_never_interrupted(recipe: str, tmp_path: Path) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    run(make_plan(whole, recipe=recipe), 3)
+    run(make_plan(parts, recipe=recipe), 1)
+    run(make_plan(parts, recipe=recipe), 3)
+    expected, found = (read_tensors(folder / "state.pt") for folder in (whole, parts))
+    for name, value in expected["weights"].items():
+        torch.testing.assert_close(found["weights"][name], value, rtol=0.0, atol=0.0)
+    lines = (parts / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(line)["iteration"] for line in lines] == [1, 2, 3]
+
+
+def test_the_expert_ends_with_ppo(tmp_path: Path) -> None:
+    plan = make_plan(tmp_path, recipe="expert", expert=replace(EXPERT, imitation_share=0.0))
+    run(plan, 1)
+    row = json.loads((tmp_path / "metrics.jsonl").read_text())
+    assert "kl" in row
+    assert "imitation_loss" not in row
+
+
+def test_the_best_weights_are_kept_with_their_card(tmp_path: Path) -> None:
+    run(make_plan(tmp_path), 2)
+    best = load_checkpoint(tmp_path / "best.pt", expected=SMALL)
+    state = read_tensors(tmp_path / "state.pt")
+    assert best.card.scores["val_unc"] == pytest.approx(state["run"]["best_unc"])
+    assert best.card.scores["val_unc"] == min(row["val_unc"] for row in state["run"]["curve"])
+    assert "val_unc" in (tmp_path / "best.md").read_text()
+
+
+def test_a_run_can_begin_with_other_weights(tmp_path: Path) -> None:
+    run(make_plan(tmp_path / "first"), 1)
+    start = str(tmp_path / "first" / "best.pt")
+    run(make_plan(tmp_path / "second", start=start), 1)
+    with pytest.raises(CheckpointMismatch, match="its width is 16, not 32"):
+        train(
+            make_plan(tmp_path / "third", start=start, network=replace(SMALL, width=32)),
+            command="test",
+            listen=lambda *_: None,
+        )
+
+
+def test_a_folder_with_another_run_is_refused(tmp_path: Path) -> None:
+    run(make_plan(tmp_path), 1)
+    with pytest.raises(CheckpointMismatch, match="that run has seed 0, not 1"):
+        run(make_plan(tmp_path, seed=1), 1)
+    (tmp_path / "state.pt").write_bytes(b"what a broken disk leaves")
+    with pytest.raises(CheckpointMismatch, match=r"state\.pt"):
+        run(make_plan(tmp_path), 1)
+
+
+def spawn(out: Path, minutes: float, *options: str) -> subprocess.Popen[bytes]:
+    """Start training as a process of its own."""
+    command = [sys.executable, "-m", "dronemon.training", "--device", "cpu"]
+    command += ["--out", str(out), "--minutes", str(minutes), *options]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_run_survives_kill_9(tmp_path: Path) -> None:
+    options = ["--width", "16", "--episodes", "2", "--decisions", "16"]
+    options += ["--validation-episodes", "1", "--recipe", "paper"]
+    process = spawn(tmp_path, 1.0, *options)
+    while not (tmp_path / "state.pt").exists():
+        time.sleep(0.1)
+        assert process.poll() is None
+    time.sleep(2.3)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    before = read_tensors(tmp_path / "state.pt")["run"]
+    assert spawn(tmp_path, before["elapsed_s"] / 60.0 + 0.1, *options).wait() == 0
+    after = read_tensors(tmp_path / "state.pt")["run"]
+    assert after["iteration"] > before["iteration"]
+    lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(line)["iteration"] for line in lines] == [
+        i + 1 for i in range(after["iteration"])
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_two_minutes_of_training_improve_the_reward(tmp_path: Path) -> None:
+    options = ["--width", "32", "--distance-bias", "--episodes", "4", "--imitation-share", "1"]
+    options += ["--decisions", "96", "--validation-episodes", "8"]
+    assert spawn(tmp_path / "untrained", 0.1, *options, "--recipe", "paper").wait() == 0
+    assert spawn(tmp_path / "trained", 2.0, *options).wait() == 0
+    before, after = (
+        load_checkpoint(tmp_path / name / "best.pt").card.scores
+        for name in ("untrained", "trained")
+    )
+    assert after["val_reward"] > before["val_reward"]
+    assert after["val_unc"] < before["val_unc"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_two_processes_train_one_network(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
+    command += ["2", "-m", "dronemon.training", "--recipe", "paper", "--device", "cpu"]
+    command += ["--out", str(tmp_path), "--minutes", "0.3", "--width", "16", "--episodes", "4"]
+    command += ["--decisions", "16", "--validation-episodes", "1"]
+    assert subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 0
+    row = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[0])
+    assert row["decisions"] == 64
