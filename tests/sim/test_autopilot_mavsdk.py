@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
+from conftest import StartMockVehicle, free_udp_port
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
@@ -126,13 +127,23 @@ async def fly(url: str) -> None:
         assert math.dist(home[:2], pilot.place[:2]) < 1.5
 
 
-def test_mavsdk_flies_a_whole_mission(mock_vehicle: Callable[..., Any]) -> None:
-    vehicle = mock_vehicle("animals", "--speed-up", str(SPEED_UP))
+def test_mavsdk_flies_a_whole_mission_and_a_second_world_follows(
+    mock_vehicle: StartMockVehicle,
+) -> None:
+    port = free_udp_port()
+    follower = mock_vehicle("animals", "--follow", f"udpin://127.0.0.1:{port}")
+    vehicle = mock_vehicle(
+        "animals", "--speed-up", str(SPEED_UP), "--mavlink-out", f"127.0.0.1:{port}"
+    )
+    assert follower.targets_au == vehicle.targets_au
     asyncio.run(fly(vehicle.url))
-    assert take_picture(vehicle.camera_url)[:3] == b"\xff\xd8\xff"
-    scenes = vehicle.scenes()
-    assert len(scenes) == 1
-    assert scenes[0]["agent_au"] == pytest.approx([0.5, 0.5], abs=0.01)
+    for one in (vehicle, follower):
+        assert take_picture(one.camera_url).startswith(b"\xff\xd8\xff")
+    (true,), (followed,) = vehicle.scenes(), follower.scenes()
+    assert true["agent_au"] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert followed["agent_au"] == pytest.approx([0.5, 0.5], abs=0.01)
+    for here, there in zip(true["targets_au"], followed["targets_au"], strict=True):
+        assert here == pytest.approx(there, abs=0.02)
     assert vehicle.stop() == 0
 
 
