@@ -1,7 +1,7 @@
 """Planners: they take a snapshot of the mission and return the next waypoint."""
 
 from dronemon.planner.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt, Waypoint
-from dronemon.planner.registry import create_planner, planner_names
+from dronemon.planner.registry import create_planner, has_weights, planner_names
 
 __all__ = [
     "Briefing",
@@ -11,5 +11,6 @@ __all__ = [
     "TargetsAt",
     "Waypoint",
     "create_planner",
+    "has_weights",
     "planner_names",
 ]

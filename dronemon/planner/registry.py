@@ -34,6 +34,11 @@ def planner_names() -> tuple[str, ...]:
     return tuple(sorted({**_LEARNED, **_OTHERS}))
 
 
+def has_weights(kind: str) -> bool:
+    """Whether planners of this name are made from a checkpoint."""
+    return kind in _LEARNED
+
+
 def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
     """Make a planner.
 

@@ -1,0 +1,109 @@
+"""`dronemon evaluate`: its options and their help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated, TypeVar, cast
+
+import typer
+from rich.console import Console
+
+from dronemon.belief import Prior
+from dronemon.errors import OptionError
+from dronemon.evaluation.evaluate import evaluate
+from dronemon.evaluation.options import (
+    TABLE1_INSTANCES,
+    TABLE1_SPEED_RATIOS,
+    TABLE1_TARGETS,
+    Options,
+    PlannerSpec,
+    available_workers,
+)
+
+T = TypeVar("T")
+DEFAULT_INSTANCES = 16
+
+
+def evaluate_command(
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for results, tables and figures; a run there goes on.", show_default=False
+        ),
+    ],
+    planner: Annotated[
+        str, typer.Option(help="Planners, separated by commas; a learned one as name:checkpoint.")
+    ] = "tsp,lawnmower",
+    targets: Annotated[
+        str | None, typer.Option(help="Numbers of targets, such as 4,8.", show_default="4")
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            help="Targets' speed over the agent's, such as 1/10,1/7.", show_default="1/10"
+        ),
+    ] = None,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            help="Known at the start: full (positions), number (of targets) or none.",
+            show_default="full",
+        ),
+    ] = None,
+    instances: Annotated[
+        int | None,
+        typer.Option(
+            help="Instances per cell; one seed is one instance.",
+            show_default="16; 100 with --table1",
+        ),
+    ] = None,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first instance.")] = 0,
+    table1: Annotated[
+        bool, typer.Option("--table1", help="All 16 cells of the paper's Table I.")
+    ] = False,
+    horizon: Annotated[float, typer.Option(help="Distance flown per episode, in au.")] = 30.0,
+    nodes: Annotated[int, typer.Option(help="Nodes of the roadmap.")] = 200,
+    save_episodes: Annotated[
+        bool, typer.Option("--save-episodes", help="Keep the arrays of every episode.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes.", show_default="one per core")
+    ] = None,
+) -> None:
+    """Measure planners on simulated instances, and compare them with the paper's figures."""
+    if table1 and (targets, speed, prior) != (None, None, None):
+        raise OptionError("--table1 sets --targets, --speed and --prior; leave them out")
+    default_instances = TABLE1_INSTANCES if table1 else DEFAULT_INSTANCES
+    options = Options(
+        planners=_each(planner, "--planner", PlannerSpec.parse),
+        out=out,
+        targets=TABLE1_TARGETS if table1 else _each(targets or "4", "--targets", int),
+        speed_ratios=(
+            TABLE1_SPEED_RATIOS if table1 else _each(speed or "1/10", "--speed", Fraction)
+        ),
+        priors=_each(prior or "full", "--prior", lambda text: cast("Prior", text)),
+        instances=instances if instances is not None else default_instances,
+        first_seed=first_seed,
+        horizon_au=horizon,
+        num_nodes=nodes,
+        save_episodes=save_episodes,
+        workers=workers if workers is not None else available_workers(),
+    )
+    console = Console()
+    evaluate(options, console)
+    console.print(
+        f"{out / 'table.md'}: tables; figures and results beside it", soft_wrap=True, markup=False
+    )
+
+
+def _each(text: str, option: str, read: Callable[[str], T]) -> tuple[T, ...]:
+    """Read values separated by commas. Raises OptionError naming the one that cannot be read."""
+    values = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        try:
+            values.append(read(part))
+        except (ValueError, ZeroDivisionError) as exc:
+            raise OptionError(f"{option} {part}: not a number of the kind wanted ({exc})") from exc
+    return tuple(values)

@@ -1,0 +1,182 @@
+"""Run an evaluation: fly what is missing on all cores, then write tables and figures."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from dronemon.errors import RecordError
+from dronemon.evaluation.episode import Episode, fly
+from dronemon.evaluation.figures import draw_overview, draw_traces, draw_unc_over_time
+from dronemon.evaluation.options import Key, Options, PlannerSpec, Task
+from dronemon.evaluation.report import write_tables
+from dronemon.evaluation.results import Result, ResultsFile
+from dronemon.planner import Planner
+from dronemon.world import Instance
+
+
+def evaluate(options: Options, console: Console | None = None) -> list[Result]:
+    """Fly all episodes that the output folder does not hold yet, and write what they show.
+
+    The folder gets results.jsonl, table.csv, table.md, paired.csv, figures, and with
+    `save_episodes` one file of arrays per episode. A run that was killed, or is given more
+    instances, goes on where it was.
+
+    Raises OptionError, RecordError, and what planners raise.
+    """
+    console = console if console is not None else Console(stderr=True)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        raise RecordError(f"{options.out}: cannot be made: {exc.strerror}") from exc
+    file = ResultsFile(options.out / "results.jsonl")
+    results = file.load()
+    tasks = list(options.tasks())
+    missing = [task for task in tasks if not _is_done(task, results, options)]
+    with _progress(console) as progress:
+        bar = progress.add_task("episodes", total=len(tasks), completed=len(tasks) - len(missing))
+        for result in _fly_all(missing, options):
+            file.append(result)
+            results[result.key] = result
+            progress.advance(bar)
+    finished = [results[task.key] for task in tasks]
+    write_tables(finished, options.out)
+    draw_unc_over_time(finished, options.out / "unc_over_time.png")
+    _draw_example(options)
+    return finished
+
+
+def fly_task(task: Task) -> Episode:
+    """Fly one episode with the planner that this process keeps for it."""
+    instance = Instance.draw(task.seed, task.cell.num_targets)
+    return fly(_planner(task.planner), instance, task.conditions)
+
+
+def _draw_example(options: Options) -> None:
+    """Fly one instance of one cell again with every planner, and draw what happened.
+
+    The cell is that of the paper's figure 4, or the nearest to it.
+    """
+    cell = min(
+        options.cells,
+        key=lambda cell: (abs(cell.num_targets - 4), abs(cell.speed_ratio - Fraction(1, 20))),
+    )
+    tasks = [options.task(planner, cell, options.first_seed) for planner in options.planners]
+    with _one_thread():
+        episodes = {task.planner.method: fly_task(task) for task in tasks}
+        uncertainties = {method: episode.metrics().unc for method, episode in episodes.items()}
+    title = f"N = {cell.num_targets}, r_v = {cell.speed_ratio}, seed {options.first_seed}"
+    draw_traces(uncertainties, title, options.out / "traces.png")
+    method, episode = next(iter(episodes.items()))
+    instant = (len(episode.agent_au) - 1) * 2 // 3
+    draw_overview(episode, instant, f"{method}: {title}", options.out / "overview.png")
+
+
+def _is_done(task: Task, results: dict[Key, Result], options: Options) -> bool:
+    path = _episode_path(task, options)
+    return task.key in results and (path is None or path.is_file())
+
+
+def _episode_path(task: Task, options: Options) -> Path | None:
+    """Where the episode's arrays go, if they are kept."""
+    return options.out / "episodes" / task.file_name if options.save_episodes else None
+
+
+@cache
+def _planner(spec: PlannerSpec) -> Planner:
+    """One planner of each kind serves all episodes of a process."""
+    return spec.create()
+
+
+def _fly_all(tasks: Sequence[Task], options: Options) -> Iterator[Result]:
+    """Fly episodes, in this process or in several, and give each result when it is there."""
+    paths = [_episode_path(task, options) for task in tasks]
+    if options.workers == 1 or len(tasks) < 2:
+        with _one_thread():
+            yield from map(_run, tasks, paths)
+        return
+    pool = ProcessPoolExecutor(
+        max_workers=min(options.workers, len(tasks)),
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_prepare_worker,
+    )
+    try:
+        futures = [pool.submit(_run, *pair) for pair in zip(tasks, paths, strict=True)]
+        for future in as_completed(futures):
+            yield future.result()
+    except BrokenProcessPool as exc:
+        raise RecordError(
+            f"one of {options.workers} worker processes died, perhaps for want of memory; the same "
+            "command goes on where this run was, --workers sets how many there are"
+        ) from exc
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _run(task: Task, path: Path | None) -> Result:
+    """Fly and score one episode, and keep its arrays if a path is given."""
+    episode = fly_task(task)
+    metrics = episode.metrics()
+    if path is not None:
+        path.parent.mkdir(exist_ok=True)
+        partial = path.with_suffix(f".{os.getpid()}.part")
+        with partial.open("wb") as file:
+            np.savez_compressed(
+                file,
+                agent_au=episode.agent_au,
+                targets_au=episode.targets_au,
+                unc=metrics.unc,
+                jsd=metrics.jsd,
+                observed=episode.observed,
+            )
+        partial.replace(path)
+    return Result(
+        method=task.planner.method,
+        cell=task.cell,
+        seed=task.seed,
+        settings=task.settings,
+        scores=metrics.scores,
+        unc_over_time=tuple(metrics.unc[1:].mean(axis=1).tolist()),
+        decisions=len(episode.decisions_s),
+        decision_s=float(episode.decisions_s.mean()),
+    )
+
+
+def _prepare_worker() -> None:
+    """One thread per process, and interrupts only for the parent, which ends the others."""
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Use one thread, as workers do, so that figures do not depend on the number of workers."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )

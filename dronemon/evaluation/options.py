@@ -1,0 +1,208 @@
+"""What an evaluation covers, and the episodes that this makes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+
+from dronemon import __version__
+from dronemon.belief import Prior
+from dronemon.errors import OptionError
+from dronemon.evaluation.episode import Conditions
+from dronemon.planner import Planner, create_planner, has_weights
+from dronemon.policy import find_checkpoint
+
+PRIORS: tuple[Prior, ...] = ("full", "number", "none")
+TABLE1_TARGETS = (2, 4, 6, 8)
+TABLE1_SPEED_RATIOS = (Fraction(1, 30), Fraction(1, 20), Fraction(1, 10), Fraction(1, 7))
+TABLE1_INSTANCES = 100
+MAX_TARGETS = 100
+
+
+@dataclass(frozen=True, slots=True, order=True, kw_only=True)
+class Cell:
+    """One field of the table: what is known at the start, how many targets, and how fast."""
+
+    prior: Prior
+    num_targets: int
+    speed_ratio: Fraction
+
+
+Key = tuple[str, Cell, int, str]
+"""What tells an episode from all others, also in a later run: method, cell, seed, settings."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannerSpec:
+    """A planner to evaluate: a registered name, and for a learned one its checkpoint."""
+
+    kind: str
+    checkpoint: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> PlannerSpec:
+        """Read `kind`, or `kind:checkpoint`."""
+        kind, colon, checkpoint = text.strip().partition(":")
+        return cls(kind=kind, checkpoint=checkpoint if colon else None)
+
+    @property
+    def method(self) -> str:
+        """What tables call it."""
+        return self.kind if self.checkpoint is None else f"{self.kind}:{Path(self.checkpoint).stem}"
+
+    @property
+    def weights_digest(self) -> str | None:
+        """Digest of the checkpoint's bytes, so that other weights are another planner."""
+        if not has_weights(self.kind):
+            return None
+        return hashlib.sha256(find_checkpoint(self.checkpoint).read_bytes()).hexdigest()
+
+    def create(self) -> Planner:
+        """Make it. Raises OptionError for an unknown one, CheckpointMismatch for bad weights."""
+        return create_planner(self.kind, checkpoint=self.checkpoint)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One episode to fly.
+
+    settings: digest of all else that its outcome depends on
+    """
+
+    planner: PlannerSpec
+    cell: Cell
+    seed: int
+    conditions: Conditions
+    settings: str
+
+    @property
+    def key(self) -> Key:
+        """What tells this episode from all others."""
+        return self.planner.method, self.cell, self.seed, self.settings
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file of this episode's arrays."""
+        cell = self.cell
+        parts = (
+            self.planner.method.replace(":", "-"),
+            f"N{cell.num_targets}",
+            str(cell.speed_ratio).replace("/", "-"),
+            cell.prior,
+            f"seed{self.seed}",
+            self.settings,
+        )
+        return "_".join(parts) + ".npz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """An evaluation: every planner in every cell, on the same instances.
+
+    horizon_au: length of an episode; num_nodes: size of the roadmap; save_episodes: keep the arrays
+    of each episode; workers: processes
+
+    Raises OptionError where a value cannot be used.
+    """
+
+    planners: tuple[PlannerSpec, ...]
+    out: Path
+    targets: tuple[int, ...] = TABLE1_TARGETS
+    speed_ratios: tuple[Fraction, ...] = TABLE1_SPEED_RATIOS
+    priors: tuple[Prior, ...] = ("full",)
+    instances: int = TABLE1_INSTANCES
+    first_seed: int = 0
+    horizon_au: float = 30.0
+    num_nodes: int = 200
+    save_episodes: bool = False
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        methods = tuple(planner.method for planner in self.planners)
+        lists = {"planner": methods, "targets": self.targets, "speed": self.speed_ratios}
+        for name, values in {**lists, "prior": self.priors}.items():
+            _require(len(values) > 0, f"--{name} is empty; name at least one")
+            _require(
+                len(set(values)) == len(values),
+                f"--{name} {','.join(map(str, values))} names one twice",
+            )
+        for count in self.targets:
+            _require(1 <= count <= MAX_TARGETS, f"--targets {count} is not 1 to {MAX_TARGETS}")
+        for speed in self.speed_ratios:
+            _require(0 <= speed < 1, f"--speed {speed} is not from 0 to below 1, the agent's")
+        for prior in self.priors:
+            _require(prior in PRIORS, f"--prior {prior} is none of {', '.join(PRIORS)}")
+        _require(self.instances >= 1, f"--instances {self.instances} is less than 1")
+        _require(self.first_seed >= 0, f"--first-seed {self.first_seed} is less than 0")
+        _require(self.workers >= 1, f"--workers {self.workers} is less than 1")
+        _require(10 <= self.num_nodes <= 2000, f"--nodes {self.num_nodes} is not 10 to 2000")
+        _require(
+            math.isfinite(self.horizon_au) and 0.1 <= self.horizon_au <= 1000.0,
+            f"--horizon {self.horizon_au:g} is not 0.1 to 1000 au",
+        )
+        for planner in self.planners:
+            planner.create()
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All fields of the table, in the order in which they were named."""
+        return [
+            Cell(prior=prior, num_targets=count, speed_ratio=speed)
+            for prior in self.priors
+            for count in self.targets
+            for speed in self.speed_ratios
+        ]
+
+    @cached_property
+    def _settings(self) -> dict[PlannerSpec, str]:
+        """Digest, per planner, of what decides an outcome besides the rest of a key."""
+        common = {"version": __version__, "horizon": self.horizon_au, "nodes": self.num_nodes}
+        return {
+            planner: _digest({**common, "weights": planner.weights_digest})
+            for planner in self.planners
+        }
+
+    def tasks(self) -> Iterator[Task]:
+        """All episodes; seed by seed, so that an unfinished run covers all cells alike."""
+        for seed in range(self.first_seed, self.first_seed + self.instances):
+            for cell in self.cells:
+                for planner in self.planners:
+                    yield self.task(planner, cell, seed)
+
+    def task(self, planner: PlannerSpec, cell: Cell, seed: int) -> Task:
+        """One of the episodes."""
+        conditions = Conditions(
+            speed_ratio=float(cell.speed_ratio),
+            prior=cell.prior,
+            horizon_au=self.horizon_au,
+            num_nodes=self.num_nodes,
+        )
+        return Task(
+            planner=planner,
+            cell=cell,
+            seed=seed,
+            conditions=conditions,
+            settings=self._settings[planner],
+        )
+
+
+def available_workers() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _digest(facts: dict[str, object]) -> str:
+    """Short digest of facts. -> 12 hexadecimal digits."""
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _require(is_met: bool, otherwise: str) -> None:
+    if not is_met:
+        raise OptionError(otherwise)

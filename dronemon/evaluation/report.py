@@ -1,0 +1,272 @@
+"""Tables on disk: table.csv and paired.csv for programs, table.md for people."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from dronemon.evaluation.options import Cell
+from dronemon.evaluation.results import Result
+from dronemon.evaluation.tables import (
+    AGREEMENT,
+    BOUND,
+    COUNTERPARTS,
+    FIGURES,
+    PAPER_FIGURES,
+    PAPER_NETWORK,
+    RANKED,
+    Difference,
+    Estimate,
+    Row,
+    count_agreeing,
+    count_better,
+    gap_closed,
+    overall,
+    paired_differences,
+    published_rows,
+    summarise,
+)
+
+DIGITS = {"min_ob": 2}
+"""Digits after the point of a figure; 3 for others."""
+
+
+UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
+
+
+def write_tables(results: Sequence[Result], out: Path) -> None:
+    """Write table.csv, paired.csv and table.md into a folder."""
+    rows = summarise(results)
+    cells = {row.cell for row in rows}
+    published = [row for row in published_rows() if row.cell in cells]
+    differences = paired_differences(results)
+    _write_csv(out / "table.csv", _table_records([*rows, *_renamed(published)]))
+    _write_csv(out / "paired.csv", _difference_records(differences))
+    text = "\n".join([*_headline(rows), *_cell_tables(rows, published), *_paired(differences)])
+    (out / "table.md").write_text(text, encoding="utf-8")
+
+
+def _renamed(published: Iterable[Row]) -> list[Row]:
+    """Published rows under names that cannot be mistaken for ours."""
+    return [
+        Row(
+            cell=row.cell,
+            method=_paper_name(row.method),
+            instances=row.instances,
+            figures=row.figures,
+            decision_s=row.decision_s,
+        )
+        for row in published
+    ]
+
+
+def _paper_name(method: str) -> str:
+    return f"paper: {method}"
+
+
+def _write_csv(path: Path, records: list[dict[str, str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        if records:
+            writer = csv.DictWriter(file, list(records[0]))
+            writer.writeheader()
+            writer.writerows(records)
+
+
+def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
+    """Columns of the paper's table first, then standard errors and what else was measured."""
+    records = []
+    for row in rows:
+        estimates = {name: row.figures.get(name, UNKNOWN) for name in FIGURES}
+        means = {name: _number(value.mean, name) for name, value in estimates.items()}
+        errors = {
+            f"{name}_se": _number(value.standard_error, name, extra_digits=1)
+            for name, value in estimates.items()
+        }
+        records.append(
+            {
+                "targets": str(row.cell.num_targets),
+                "speed_ratio": str(row.cell.speed_ratio),
+                "method": row.method,
+                **{name: means[name] for name in PAPER_FIGURES},
+                **{f"{name}_se": errors[f"{name}_se"] for name in PAPER_FIGURES},
+                "prior": row.cell.prior,
+                "instances": str(row.instances) if row.instances else "",
+                **{name: means[name] for name in FIGURES if name not in PAPER_FIGURES},
+                **{
+                    f"{name}_se": errors[f"{name}_se"]
+                    for name in FIGURES
+                    if name not in PAPER_FIGURES
+                },
+                "decision_ms": _number(row.decision_s * 1e3, "decision_ms"),
+            }
+        )
+    return records
+
+
+def _difference_records(differences: Iterable[Difference]) -> list[dict[str, str]]:
+    return [
+        {
+            "method": difference.method,
+            "minus": difference.other,
+            "cells": str(difference.cells),
+            **{
+                column: text
+                for name, estimate in difference.figures.items()
+                for column, text in (
+                    (name, _number(estimate.mean, name, extra_digits=1)),
+                    (f"{name}_se", _number(estimate.standard_error, name, extra_digits=1)),
+                )
+            },
+        }
+        for difference in differences
+    ]
+
+
+def _number(value: float, name: str, *, extra_digits: int = 0) -> str:
+    """A figure with its usual digits; empty where there is none."""
+    if math.isnan(value):
+        return ""
+    return f"{value:.{DIGITS.get(name, 3) + extra_digits}f}"
+
+
+def _markdown(header: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]:
+    """A table in Markdown, followed by an empty line."""
+    lines = [header, ["---"] * len(header), *body]
+    return [*("| " + " | ".join(cells) + " |" for cells in lines), ""]
+
+
+def _headline(rows: Sequence[Row]) -> list[str]:
+    """Means over the paper's cells, beside the paper's own, and what follows from them."""
+    methods = list(dict.fromkeys(row.method for row in rows))
+    instances = sorted({row.instances for row in rows})
+    lines = [
+        "# Evaluation",
+        "",
+        f"Instances per cell: {', '.join(map(str, instances))}. Mean ± standard error.",
+        "",
+    ]
+    published = published_rows()
+    means = {method: overall(rows, method) for method in methods}
+    if any(means.values()):
+        paper = list(dict.fromkeys(row.method for row in published))
+        body = [
+            [method, *(_plus_minus(mean[name], name) for name in PAPER_FIGURES)]
+            for method, mean in means.items()
+            if mean
+        ] + [
+            [_paper_name(method), *(_plus_minus(mean[name], name) for name in PAPER_FIGURES)]
+            for method in paper
+            if (mean := overall(published, method))
+        ]
+        lines += ["## Means over the 16 cells of Table I", ""]
+        lines += _markdown(["method", "Unc", "Unc std", "MinOb", "JSD"], body)
+    bound, network = means.get(BOUND), overall(published, PAPER_NETWORK)
+    if bound and network:
+        for method, mean in means.items():
+            if mean and method != BOUND:
+                shares = ", ".join(
+                    f"{100 * gap_closed(mean[name].mean, network[name].mean, bound[name].mean):.0f}"
+                    f" % in {name.title() if name == 'unc' else name.upper()}"
+                    for name in ("unc", "jsd")
+                )
+                lines.append(f"- `{method}` closes the gap from the paper's network: {shares}.")
+    for method in methods:
+        better, compared = count_better(rows, method)
+        if compared:
+            lines.append(
+                f"- `{method}` is better than the best published of any method in {better} of "
+                f"{compared} figures."
+            )
+        if method in COUNTERPARTS:
+            agreeing, compared = count_agreeing(rows, method)
+            if compared:
+                lines.append(
+                    f"- `{method}` agrees with the paper's {COUNTERPARTS[method]} in {agreeing} of "
+                    f"{compared} cells (Unc within {AGREEMENT['unc']}, JSD within "
+                    f"{AGREEMENT['jsd']})."
+                )
+    return [*lines, ""]
+
+
+def _plus_minus(estimate: Estimate, name: str) -> str:
+    error = _number(estimate.standard_error, name)
+    return _number(estimate.mean, name) + (f" ± {error}" if error else "")
+
+
+def _cell_tables(rows: Sequence[Row], published: Sequence[Row]) -> list[str]:
+    """Tables per prior and number of targets: a line per method, a column per speed ratio."""
+    lines: list[str] = []
+    groups = dict.fromkeys((row.cell.prior, row.cell.num_targets) for row in rows)
+    for prior, count in groups:
+        mine = [row for row in rows if (row.cell.prior, row.cell.num_targets) == (prior, count)]
+        speeds = list(dict.fromkeys(row.cell.speed_ratio for row in mine))
+        theirs = [
+            row
+            for row in published
+            if (row.cell.prior, row.cell.num_targets) == (prior, count)
+            and row.cell.speed_ratio in speeds
+        ]
+        lines += [f"## N = {count}, prior: {prior}", ""]
+        for name, title in (
+            ("unc", "Unc (standard deviation between targets)"),
+            ("min_ob", "MinOb"),
+            ("jsd", "JSD"),
+            ("lost", "Lost: share of targets and instants with Unc above 0.9"),
+        ):
+            lines += [f"{title}", ""]
+            header = ["method", *(f"r_v = {speed}" for speed in speeds)]
+            body = [
+                [
+                    label,
+                    *(
+                        _entry(group, Cell(prior=prior, num_targets=count, speed_ratio=speed), name)
+                        for speed in speeds
+                    ),
+                ]
+                for label, group in _by_method(mine, theirs)
+                if any(name in row.figures for row in group)
+            ]
+            lines += _markdown(header, body)
+    return lines
+
+
+def _by_method(mine: Sequence[Row], theirs: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+    """Rows grouped by method, the paper's last."""
+    groups: dict[str, list[Row]] = {}
+    for row in [*mine, *_renamed(theirs)]:
+        groups.setdefault(row.method, []).append(row)
+    return list(groups.items())
+
+
+def _entry(rows: Sequence[Row], cell: Cell, name: str) -> str:
+    """One figure of one method in one cell."""
+    for row in rows:
+        if row.cell == cell and name in row.figures:
+            spread = (
+                f" ({_number(row.figures['unc_std'].mean, 'unc_std')})" if name == "unc" else ""
+            )
+            return _plus_minus(row.figures[name], name) + spread
+    return ""
+
+
+def _paired(differences: Sequence[Difference]) -> list[str]:
+    """Differences between our planners on the same instances."""
+    if not differences:
+        return []
+    body = [
+        [
+            f"{difference.method} minus {difference.other}",
+            str(difference.cells),
+            *(_plus_minus(difference.figures[name], name) for name in RANKED),
+        ]
+        for difference in differences
+    ]
+    return [
+        "## Paired differences",
+        "",
+        "On the same instances, mean over cells; below zero: the first is lower.",
+        "",
+        *_markdown(["methods", "cells", "Unc", "MinOb", "JSD"], body),
+    ]
