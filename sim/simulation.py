@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import random
 import time
@@ -21,6 +22,7 @@ from sim.link import LinkFaults, MavlinkLink, open_link
 from sim.scene import Scene
 from sim.world import World, home_place
 
+_LOG = logging.getLogger("sim")
 HOME_NED_M: Vector3 = (-23.0, 31.0, -3.2)
 """Home in the local frame: the estimator's origin is elsewhere, so that confusing them shows."""
 _PAUSE_S = 0.004
@@ -94,7 +96,20 @@ class Simulation:
 
     async def run(self, speed_up: float) -> None:
         """Keep vehicle time at wall time x `speed_up`, until cancelled."""
-        begin_s, begun_at_s = time.monotonic(), self._time_s
+        begin_s, started_at_s = time.monotonic(), self._time_s
+        try:
+            await self._keep_pace(begin_s, speed_up)
+        finally:
+            flown_s, wall_s = self._time_s - started_at_s, time.monotonic() - begin_s
+            _LOG.info(
+                "simulated %.0f s, %.1f times real time (%g asked)",
+                flown_s,
+                flown_s / max(wall_s, 1e-9),
+                speed_up,
+            )
+
+    async def _keep_pace(self, begin_s: float, speed_up: float) -> None:
+        begun_at_s = self._time_s
         while True:
             due_s = begun_at_s + (time.monotonic() - begin_s) * speed_up
             if due_s - self._time_s > _BURST_MAX_S:
