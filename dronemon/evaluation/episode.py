@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronemon.belief import Belief, EpisodeMetrics, Prior, episode_metrics
-from dronemon.errors import DronemonError
+from dronemon.errors import PlannerError
 from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
 from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
 from dronemon.roadmap import Roadmap
@@ -82,7 +82,7 @@ def measurement_times_au(count: int) -> FloatArray:
 def fly(planner: Planner, instance: Instance, conditions: Conditions) -> Episode:
     """Fly one episode.
 
-    Raises DronemonError if the planner gives a waypoint that cannot be flown to.
+    Raises PlannerError if the planner gives a waypoint that cannot be flown to.
     """
 
     def targets_at(times_au: FloatArray) -> FloatArray:
@@ -116,7 +116,7 @@ def fly(planner: Planner, instance: Instance, conditions: Conditions) -> Episode
         try:
             agent.fly_to(waypoint.position_au, waypoint.node)
         except ValueError as exc:
-            raise DronemonError(
+            raise PlannerError(
                 f"planner {planner.name}, seed {instance.seed}, at {snapshot.time_au:.3f} au: {exc}"
             ) from exc
     return agent.episode(np.array(decisions_s))

@@ -78,7 +78,7 @@ def _draw_example(options: Options) -> None:
     with _one_thread():
         episodes = {task.planner.method: fly_task(task) for task in tasks}
         uncertainties = {method: episode.metrics().unc for method, episode in episodes.items()}
-    title = f"N = {cell.num_targets}, r_v = {cell.speed_ratio}, seed {options.first_seed}"
+    title = f"N = {cell.num_targets}, $r_v$ = {cell.speed_ratio}, seed {options.first_seed}"
     draw_traces(uncertainties, title, options.out / "traces.png")
     method, episode = next(iter(episodes.items()))
     instant = (len(episode.agent_au) - 1) * 2 // 3

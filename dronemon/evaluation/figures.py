@@ -26,7 +26,7 @@ from dronemon.types import FloatArray, Measurement
 LINE_STYLES = {"full": "-", "number": "--", "none": ":"}
 """By prior; colours tell methods apart."""
 COLOURS = colormaps["tab10"]
-COLUMNS = 4
+MAX_COLUMNS = 5
 DOTS_PER_INCH = 110
 
 
@@ -90,12 +90,13 @@ def draw_overview(episode: Episode, instant: int, title: str, path: Path) -> Non
     instant: index of the measurement at which the belief is shown
     """
     num_targets = episode.targets_au.shape[1]
-    num_rows = math.ceil((num_targets + 1) / COLUMNS)
-    figure = Figure(figsize=(2.6 * COLUMNS, 2.7 * num_rows + 2.2), layout="constrained")
-    grid = figure.add_gridspec(num_rows + 1, COLUMNS, height_ratios=[1.3] * num_rows + [1.0])
+    num_columns = min(num_targets + 1, MAX_COLUMNS)
+    num_rows = math.ceil((num_targets + 1) / num_columns)
+    figure = Figure(figsize=(2.5 * num_columns, 2.7 * num_rows + 2.2), layout="constrained")
+    grid = figure.add_gridspec(num_rows + 1, num_columns, height_ratios=[1.3] * num_rows + [1.0])
     mean = believe(episode, instant)
     for index in range(num_targets + 1):
-        panel = figure.add_subplot(grid[index // COLUMNS, index % COLUMNS])
+        panel = figure.add_subplot(grid[index // num_columns, index % num_columns])
         is_all = index == num_targets
         field = mean.max(axis=0) if is_all else mean[index]
         panel.imshow(

@@ -6,14 +6,17 @@ Source: paper, section V-A, after Choset (2000).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dronemon.errors import OptionError
 from dronemon.planner.motion import ARRIVED_AU
 from dronemon.planner.planner import Briefing, Snapshot, Waypoint
-from dronemon.roadmap import Roadmap
 from dronemon.types import FloatArray
+
+if TYPE_CHECKING:
+    from dronemon.roadmap import Roadmap
 
 NUM_LANES = 4
 """Chosen among 2 to 10 on development seeds; see `sweep_track`."""

@@ -10,19 +10,41 @@ from dronemon.planner.lawnmower import Lawnmower
 from dronemon.planner.planner import Planner
 from dronemon.planner.tsp import CarriedOn, ClairvoyantTspLoop, LastSeen, Predicted, TspLoop
 
+# What is slow to import is imported where it is made: most runs need one planner.
+
 
 def _learned(checkpoint: str | None) -> Planner:
-    # Imported here: only the learned planner needs the network.
     from dronemon.planner.learned import LearnedPlanner
 
     return LearnedPlanner.load(checkpoint)
+
+
+def _search() -> Planner:
+    from dronemon.planner.search import SearchPlanner
+
+    return SearchPlanner()
+
+
+def _roadmap_search() -> Planner:
+    from dronemon.planner.search import RoadmapSearchPlanner
+
+    return RoadmapSearchPlanner()
+
+
+def _clairvoyant_search() -> Planner:
+    from dronemon.planner.search import ClairvoyantSearchPlanner
+
+    return ClairvoyantSearchPlanner()
 
 
 _LEARNED: dict[str, Callable[[str | None], Planner]] = {"stamp": _learned}
 """Planners made from trained weights: a checkpoint's path or name, the shipped one for None."""
 _OTHERS: dict[str, Callable[[], Planner]] = {
     "clairvoyant": ClairvoyantTspLoop,
+    "clairvoyant-search": _clairvoyant_search,
     "lawnmower": Lawnmower,
+    "search": _search,
+    "search-roadmap": _roadmap_search,
     "tsp": lambda: TspLoop("tsp", LastSeen()),
     "tsp-heading": lambda: TspLoop("tsp-heading", CarriedOn()),
     "tsp-predicted": lambda: TspLoop("tsp-predicted", Predicted()),

@@ -9,7 +9,7 @@ Source: paper, section V-A, after Yu et al. (2017).
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -17,8 +17,10 @@ from dronemon.planner.lawnmower import Sweep, sweep_length_au, sweep_track
 from dronemon.planner.motion import orbit, step_towards, until_measurement_au
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
 from dronemon.planner.tour import shortest_loop
-from dronemon.roadmap import Roadmap
 from dronemon.types import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from dronemon.roadmap import Roadmap
 
 REACHED_AU = 1e-3
 """Distance at which a target's place counts as visited."""
