@@ -47,8 +47,7 @@ class Follower(asyncio.DatagramProtocol):
         self._vehicle: tuple[int, int] | None = None
         self._vehicle_address: tuple[str, int] | None = None
         self._time_s = -math.inf
-        self._walking_s = 0.0
-        self._is_armed = self._was_armed = False
+        self._is_armed = False
         self._camera: CameraServer | None = None
         self._attitude: Any = None
         self._position: Any = None
@@ -100,7 +99,7 @@ class Follower(asyncio.DatagramProtocol):
         assert self._home_ned_m is not None
         assert self._origin is not None
         frame = self._world.frame(self._home_ned_m, self._origin)
-        return self._world.scene(self._pose(), self._walking_s, frame)
+        return self._world.scene(self._pose(), frame)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """Take what the vehicle sends (asyncio's callback)."""
@@ -120,7 +119,6 @@ class Follower(asyncio.DatagramProtocol):
                 self._vehicle = sender
             if sender == self._vehicle:
                 self._is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-                self._was_armed = self._was_armed or self._is_armed
         if sender != self._vehicle:
             return
         self._vehicle_address = address
@@ -136,10 +134,8 @@ class Follower(asyncio.DatagramProtocol):
             )
 
     def _take_pose(self, message: Any) -> None:
-        """Keep the newest half of a pose, and move the world's clock; a reboot sets it back."""
+        """Keep the newest half of a pose; a reboot sets the clock back."""
         time_s = message.time_boot_ms / 1000.0
-        if self._was_armed and time_s > self._time_s:
-            self._walking_s += time_s - self._time_s
         has_rebooted = time_s < self._time_s - 1.0
         if has_rebooted:
             self._attitude = self._position = None

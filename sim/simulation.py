@@ -63,7 +63,7 @@ class Simulation:
     def scene(self) -> Scene:
         """What there is to see at this instant."""
         pose = self.autopilot.body.pose(self.autopilot.time_s)
-        return self._world.scene(pose, self._since_arming_s, self._frame)
+        return self._world.scene(pose, self._frame)
 
     async def open_links(self, remotes: list[tuple[str, int]]) -> None:
         """Stream to these addresses from now on."""

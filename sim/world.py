@@ -1,7 +1,7 @@
 """The simulated world of a mission: the area, and animals that walk in it.
 
-The animals rest until the drone arms, so that a slow start of the computer changes nothing; from
-then on each walks its path at constant speed.
+The animals rest until the first picture is taken, so that positions known before take-off hold
+when the patrol begins; from then on each walks its path at constant speed.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ DEFAULT_PLACE = GeoPoint(latitude_deg=47.397742, longitude_deg=8.545594, altitud
 
 
 class World:
-    """Where the targets of a mission are at any time since arming."""
+    """Where the targets of a mission are at any time since the first picture."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
+        self._walking_s = 0.0
+        self._pictured_s: float | None = None
         self._paths = Instance.draw(mission.simulation.seed, len(mission.targets)).paths
 
     def walked_au(self, walking_s: float) -> float:
@@ -60,9 +62,12 @@ class World:
             cruise_speed_m_s=self._mission.flight.cruise_speed_m_s,
         )
 
-    def scene(self, pose: Pose, walking_s: float, frame: AreaFrame) -> Scene:
-        """What a camera at `pose` looks at."""
-        walked_au = self.walked_au(walking_s)
+    def scene(self, pose: Pose, frame: AreaFrame) -> Scene:
+        """What a camera at `pose` takes a picture of; time that goes back does not count."""
+        if self._pictured_s is not None:
+            self._walking_s += max(pose.time_s - self._pictured_s, 0.0)
+        self._pictured_s = pose.time_s
+        walked_au = self.walked_au(self._walking_s)
         places = frame.au_to_ned(self._paths.positions_au(walked_au))
         headings = self._paths.headings_rad(walked_au)
         animals = tuple(

@@ -58,7 +58,7 @@ def test_follower_sees_what_the_vehicle_sees() -> None:
         assert math.dist(true.pose.position_ned_m, followed.pose.position_ned_m) < 1.0
         for angle in (0, 1):
             assert abs(true.pose.attitude_rad[angle] - followed.pose.attitude_rad[angle]) < 0.02
-        # Home is an estimate, and walking is seen to begin with the next heartbeat.
+        # Home is an estimate.
         assert math.dist(true.frame.centre_ned_m, followed.frame.centre_ned_m) < 0.6
         for a, b in zip(true.animals, followed.animals, strict=True):
             assert math.dist(a.position_ned_m, b.position_ned_m) < 1.0

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,9 @@ def test_animals_face_where_they_walk() -> None:
     simulation = Simulation(make_mission(), world)
     frame = world.frame(HOME_NED_M, ORIGIN)
     pose = simulation.autopilot.body.pose(1.0)
-    before, after = world.scene(pose, 40.0, frame), world.scene(pose, 40.1, frame)
+    world.scene(pose, frame)
+    before = world.scene(replace(pose, time_s=41.0), frame)
+    after = world.scene(replace(pose, time_s=41.1), frame)
     for a, b in zip(before.animals, after.animals, strict=True):
         north, east = (y - x for x, y in zip(a.position_ned_m, b.position_ned_m, strict=True))
         assert math.hypot(north, east) == pytest.approx(0.05 * 5.0 * 0.1, rel=1e-3)
@@ -41,18 +44,21 @@ def test_animals_face_where_they_walk() -> None:
         assert b.walked_m - a.walked_m == pytest.approx(0.025)
 
 
-def test_animals_rest_until_the_vehicle_is_armed() -> None:
+def test_animals_rest_until_the_first_picture() -> None:
     mission = make_mission()
-    simulation = Simulation(mission, World(mission))
+    world = World(mission)
+    simulation = Simulation(mission, world)
     for _ in range(700):
         simulation.step()
-    at_rest = simulation.scene().animals
-    assert simulation.autopilot.arm()
+    at_rest = simulation.scene()
+    starts = world.frame(HOME_NED_M, simulation.autopilot.origin).au_to_ned(world.targets_au(0.0))
+    for animal, start in zip(at_rest.animals, starts, strict=True):
+        assert animal.position_ned_m == pytest.approx(tuple(start), abs=1e-3)
     for _ in range(300):
         simulation.step()
     moved = [
         math.dist(a.position_ned_m, b.position_ned_m)
-        for a, b in zip(at_rest, simulation.scene().animals, strict=True)
+        for a, b in zip(at_rest.animals, simulation.scene().animals, strict=True)
     ]
     assert moved == pytest.approx([0.25 * 3.0] * 2, rel=0.05)
 
