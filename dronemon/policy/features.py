@@ -197,6 +197,17 @@ class Segment:
             nodes=self.nodes[episodes],
         )
 
+    def to(self, device: torch.device) -> Segment:
+        """The same episodes on another device, in float32."""
+        return Segment(
+            graphs=self.graphs.to(device),
+            windows=self.windows.to(device).float(),
+            target_mask=self.target_mask.to(device),
+            flown=self.flown.to(device).float(),
+            marks=self.marks.to(device).float(),
+            nodes=self.nodes.to(device),
+        )
+
     def mirrored(self, symmetries: Tensor) -> Segment:
         """The same episodes in a turned or mirrored square; see `Graphs.mirrored`."""
         return replace(self, graphs=self.graphs.mirrored(symmetries))

@@ -16,7 +16,7 @@ from dronemon.policy.network import PolicyNetwork, TemporalEncoder, TemporalMemo
 
 @dataclass(slots=True)
 class _Phase:
-    """Every stride-th window: keys, values (B, 1, V, T', d), marks (B, T') au; or an LSTM."""
+    """Every stride-th window: keys, values (B, 1, V, H, T', d / H), marks (B, T'); or an LSTM."""
 
     keys: Tensor
     values: Tensor
@@ -34,7 +34,8 @@ class History:
         self._graphs = graphs
         self._stride = config.stride_for(history)
         ring = num_windows(history, self._stride) if config.temporal == "attention" else 1
-        shape = (*graphs.coordinates.shape[:2], ring, config.width)
+        heads = (config.num_heads, ring, config.width // config.num_heads)
+        shape = (*graphs.coordinates.shape[:2], *heads)
         self._phases = [
             _Phase(
                 keys=graphs.coordinates.new_zeros(shape)[:, None],
@@ -80,17 +81,17 @@ class History:
         mark_au: Tensor,
     ) -> Tensor:
         """Put the newest window into its ring, then read the ring; lengths count back from now."""
-        slot = phase.count % phase.keys.shape[3]
+        slot = phase.count % phase.keys.shape[-2]
         keys, values = encoder.project(encoded)
-        phase.keys[:, :, :, slot], phase.values[:, :, :, slot] = keys[..., 0, :], values[..., 0, :]
+        phase.keys[..., slot, :], phase.values[..., slot, :] = keys[..., 0, :], values[..., 0, :]
         phase.marks_au[:, slot] = mark_au
         phase.count += 1
-        filled = min(phase.count, phase.keys.shape[3])
+        filled = min(phase.count, phase.keys.shape[-2])
         since = (phase.marks_au[:, :filled] - length_au[:, None]) / LENGTH_SCALE_AU
         marks = since.to(encoded.dtype)[:, None, None]
         aware: Tensor = encoder(
             encoded,
-            (phase.keys[:, :, :, :filled], phase.values[:, :, :, :filled]),
+            (phase.keys[..., :filled, :], phase.values[..., :filled, :]),
             torch.zeros_like(marks[..., :1]),
             (marks[..., slot : slot + 1], marks),
         )

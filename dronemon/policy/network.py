@@ -180,12 +180,10 @@ class TemporalEncoder(nn.Module):
     def project(self, encoded: Tensor) -> tuple[Tensor, Tensor]:
         """Keys and values of windows, but for their time: what every later decision shares.
 
-        (..., d) -> twice (..., d).
+        encoded: (..., n, d) -> twice (..., H, n, d / H)
         """
-        features = encoded + self.length.bias
-        keys: Tensor = self.attention.key(features)
-        values: Tensor = self.attention.value(features)
-        return keys, values
+        features, maps = encoded + self.length.bias, self.attention
+        return maps.heads(maps.key(features)), maps.heads(maps.value(features))
 
     def forward(
         self,
@@ -198,23 +196,24 @@ class TemporalEncoder(nn.Module):
         """Time-aware node features.
 
         encoded: (..., n, d), the newest window at n decisions; projected: of the m windows of the
-        past, each (..., m, d); flown: (..., n) at the decisions; marks: of the newest windows (...,
-        n) and of the past (..., m); lengths count from any one origin; mask: (n, m), true where a
-        decision sees a window -> (..., n, d)
+        past, each (..., H, m, d / H); flown: (..., n) at the decisions; marks: of the newest
+        windows (..., n) and of the past (..., m); lengths count from any one origin; mask: (n, m),
+        true where a decision sees a window -> (..., n, d)
         """
         maps, rate = self.attention, self.length.weight[:, 0]
-        age = (flown - marks[0])[..., None]
-        features = encoded + self.length.bias + age * rate
-        past = marks[1][..., None]
-        keys, values = projected
-        mixed = scaled_dot_product_attention(
-            maps.heads(maps.query(features)).flatten(0, -4),
-            maps.heads(keys - past * maps.key(rate)).flatten(0, -4),
-            maps.heads(values - past * maps.value(rate)).flatten(0, -4),
-            attn_mask=mask,
-        )
-        merged = mixed.transpose(-3, -2).flatten(-2).view_as(features)
-        attended = maps.out(merged + flown[..., None] * maps.value(rate))
+        features = encoded + self.length.bias + (flown - marks[0])[..., None] * rate
+        query, (keys, values) = maps.heads(maps.query(features)), projected
+        query = query / math.sqrt(query.shape[-1])
+        past = marks[1][..., None, None, :]  # (..., 1, 1, m)
+        # Only narrow products depend on time, not keys and values themselves.
+        pull = query @ maps.split(maps.key(rate))[..., None]
+        scores = query @ keys.transpose(-1, -2) - pull * past
+        if mask is not None:
+            scores = scores.masked_fill(~mask, -torch.inf)
+        weights = scores.softmax(-1)
+        age = flown[..., None, :, None] - (weights * past).sum(-1, keepdim=True)
+        mixed = weights @ values + age * maps.split(maps.value(rate))[:, None]
+        attended = maps.out(mixed.transpose(-3, -2).flatten(-2))
         result: Tensor = self.residual(features, attended)
         return result
 
@@ -306,21 +305,23 @@ class Decoder(nn.Module):
         features: (B, L, 1 + k, d), the agent's node first; distances: (B, L, 1 + k) from it along
         the roadmap; mask: (B, L, k)
         """
-        placed = self.distance(torch.cat([features, distances[..., None]], dim=-1))
-        current, neighbours = placed[:, :, :1], placed[:, :, 1:]
-        maps = self.attention
-        mixed = scaled_dot_product_attention(
-            maps.heads(maps.query(current)),
-            maps.heads(maps.key(neighbours)),
-            maps.heads(maps.value(neighbours)),
-            attn_mask=mask[:, :, None, None],
-        )
-        chosen = self.residual(current, maps.out(mixed.transpose(-3, -2).flatten(-2)))
-        scores = self.pointer_query(chosen) @ self.pointer_key(neighbours).transpose(-1, -2)
-        logits = CLIP * torch.tanh(scores[:, :, 0] / math.sqrt(placed.shape[-1]))
-        return Verdict(
-            logits=logits.masked_fill(~mask, -torch.inf), value=self.value(chosen)[:, :, 0, 0]
-        )
+        with torch.autocast(features.device.type, enabled=False):  # logits need their precision
+            full = features.to(self.distance.weight.dtype)
+            placed = self.distance(torch.cat([full, distances[..., None]], dim=-1))
+            current, neighbours = placed[:, :, :1], placed[:, :, 1:]
+            maps = self.attention
+            mixed = scaled_dot_product_attention(
+                maps.heads(maps.query(current)),
+                maps.heads(maps.key(neighbours)),
+                maps.heads(maps.value(neighbours)),
+                attn_mask=mask[:, :, None, None],
+            )
+            chosen = self.residual(current, maps.out(mixed.transpose(-3, -2).flatten(-2)))
+            scores = self.pointer_query(chosen) @ self.pointer_key(neighbours).transpose(-1, -2)
+            logits = CLIP * torch.tanh(scores[:, :, 0] / math.sqrt(placed.shape[-1]))
+            return Verdict(
+                logits=logits.masked_fill(~mask, -torch.inf), value=self.value(chosen)[:, :, 0, 0]
+            )
 
 
 class PolicyNetwork(nn.Module):

@@ -37,7 +37,15 @@ from dronemon.policy import (
 from dronemon.training.gae import advantages
 from dronemon.training.lessons import Lesson, teach
 from dronemon.training.peers import Peers
-from dronemon.training.ppo import FIRST_SEED, Ppo, PpoConfig, entropy, scaled_rewards
+from dronemon.training.ppo import (
+    FIRST_SEED,
+    Ppo,
+    PpoConfig,
+    Precision,
+    entropy,
+    in_precision,
+    scaled_rewards,
+)
 
 # Differs from STAMP: what is rewarded, and targets as many and as fast as Table I has them.
 FINISH = PpoConfig(
@@ -78,9 +86,10 @@ class ExpertConfig:
     temperature: float = 2.0
     imitation_share: float = 0.75
     symmetries: bool = True
+    precision: Precision = "bfloat16"
     workers: int = 0
-    teacher_drawn: int = 400
-    teacher_refined: int = 0
+    teacher_drawn: int = 200
+    teacher_refined: int = 150
     max_speed_ratio: float = 0.15
     num_nodes: tuple[int, int] = (100, 200)
     history: tuple[int, int] = (50, 100)
@@ -220,7 +229,8 @@ class Expert:
             )
         gains = lesson.gains[episodes].to(self._device)
         history = int(rng.integers(config.history[0], config.history[1] + 1))
-        verdict = self.network(segment, history)
+        with in_precision(config.precision, self._device):
+            verdict = self.network(segment, history)
         targets = (gains / config.temperature).softmax(-1)
         log_chances = verdict.logits.log_softmax(-1).masked_fill(gains.isinf(), 0.0)
         loss = -(targets * log_chances).sum(-1).mean()

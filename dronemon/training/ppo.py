@@ -22,6 +22,8 @@ from dronemon.training.rollout import Rollout, play, sampled
 
 FIRST_SEED = 1_000_000
 """Training instances have seeds from here on; below are development and evaluation."""
+Precision = Literal["float32", "bfloat16"]
+"""What matrix products are computed in while learning; weights and logits are always float32."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +58,7 @@ class PpoConfig:
     objective: Literal["fall", "unc"] = "fall"
     reward_scale: float = 5.0
     decision_cost: float = 0.1
+    precision: Precision = "float32"
 
 
 class Ppo:
@@ -167,7 +170,8 @@ class Ppo:
             shuffled = torch.randperm(len(rewards), generator=order).to(self._device)
             for episodes in torch.tensor_split(shuffled, batches):
                 segment: Segment = rollout.segment.select(episodes)
-                verdict: Verdict = self.network(segment, rollout.history)
+                with in_precision(config.precision, self._device):
+                    verdict: Verdict = self.network(segment, rollout.history)
                 log_chance = _log_chance(verdict.logits, rollout.actions[episodes])
                 log_ratio = log_chance - old[episodes]
                 ratio, gain = log_ratio.exp(), gains[episodes]
@@ -203,6 +207,12 @@ def scaled_rewards(rollout: Rollout, config: PpoConfig) -> Tensor:
     # Differs from STAMP: minus what Table I measures, for each leg as long as it took.
     excess = rollout.area_std.nanmean(dim=2) - 0.75
     return -config.reward_scale * excess * rollout.legs_au / 0.1
+
+
+def in_precision(precision: Precision, device: torch.device) -> torch.autocast:
+    """Context in which the network computes its products in a precision."""
+    is_narrow = precision == "bfloat16"
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=is_narrow)
 
 
 def _log_chance(logits: Tensor, actions: Tensor) -> Tensor:
