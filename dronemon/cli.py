@@ -23,6 +23,7 @@ from rich.console import Console
 import dronemon
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
 from dronemon.errors import DronemonError, OptionError, PolicyError
+from dronemon.evaluation.command import evaluate_command
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission, shipped_missions
 from dronemon.mission.load import outbound_min, usable_min
 from dronemon.planner import Clairvoyant, Planner
@@ -33,6 +34,7 @@ from dronemon.runner.flight import mission_kernel
 from dronemon.runner.summary import facts, summarise
 from dronemon.simulator import Simulator, read_truth, simulator
 from dronemon.terminal import FlightDisplay, facts_table
+from dronemon.training.command import train_command
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.viz import FlightView
@@ -326,6 +328,9 @@ def schema() -> None:
     """Print the JSON schema of mission files, for editors."""
     sys.stdout.write(json.dumps(Mission.model_json_schema(), indent=2) + "\n")
 
+
+app.command("evaluate")(evaluate_command)
+app.command("train")(train_command)
 
 if __name__ == "__main__":
     main()
