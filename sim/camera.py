@@ -11,7 +11,7 @@ from typing import Self
 
 import cv2
 
-from dronemon.types import CameraModel
+from dronemon.types import CameraModel, ImageArray
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 
@@ -102,13 +102,17 @@ class CameraServer:
                 await writer.drain()
 
     def _photograph(self, scene: Scene) -> bytes:
-        """The scene as a JPEG without colour subsampling."""
-        options = [
-            cv2.IMWRITE_JPEG_QUALITY,
-            JPEG_QUALITY,
-            cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-        ]
-        is_encoded, jpeg = cv2.imencode(".jpg", self._renderer.render(scene), options)
-        assert is_encoded
-        return jpeg.tobytes()
+        return encode(self._renderer.render(scene))
+
+
+def encode(image: ImageArray) -> bytes:
+    """The picture as it goes over the wire: a JPEG without colour subsampling."""
+    options = [
+        cv2.IMWRITE_JPEG_QUALITY,
+        JPEG_QUALITY,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    ]
+    is_encoded, jpeg = cv2.imencode(".jpg", image, options)
+    assert is_encoded
+    return jpeg.tobytes()
