@@ -1,14 +1,19 @@
-"""The live page: Rerun's own web viewer, served on loopback by a child process.
+"""The live page: Rerun's own web viewer, in a child process bound to loopback.
 
-The viewer's server inside our process would listen on every interface; the program in Rerun's wheel
-can be bound to one.
+The child gets the recording's bytes on its standard input. It is no part of our process, because a
+server inside it would listen on every interface with its page, and wait forever for a browser that
+has stopped reading.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import socket
 import subprocess
+import threading
+from collections import deque
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import quote
@@ -17,39 +22,102 @@ from dronemon.errors import ViewError
 
 LOOPBACK = "127.0.0.1"
 PAGE_PORT = 9090
-UNTIL_STDIN_CLOSES = '"$@" & child=$!; read _; kill $child; wait $child'
-"""Shell script that ends its command when its standard input closes: with us, however we end."""
+MAX_WAITING_BYTES = 64_000_000
+SERVER_MEMORY = "128MB"
+"""What the child keeps for browsers that come late; a flight of 300 pictures takes a quarter."""
+UNTIL_STDIN_CLOSES = '{ cat; sleep 0.5; kill 0; } | "$@"'
+"""Shell script: feed a command until our end of its standard input closes, however we end."""
 
 
-class WebPage:
-    """Serves the viewer for the data on `data_port` until closed; `url` opens it in a browser."""
+class LivePage:
+    """Serves the viewer until it is closed; `url` opens it in a browser, data are on `data_port`.
+
+    `error` says why the page shows no more, if so.
+    """
 
     def __init__(self, data_port: int) -> None:
+        _check_port_is_free(data_port)
         page_port = _free_port(PAGE_PORT)
-        source = f"rerun+http://{LOOPBACK}:{data_port}/proxy"
-        self.url = f"http://{LOOPBACK}:{page_port}/?theme=dark&url={quote(source, safe='')}"
-        options = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(page_port)]
-        self._process = subprocess.Popen(
-            ["/bin/sh", "-c", UNTIL_STDIN_CLOSES, "sh", _rerun_program(), *options, source],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the flight, which goes on until it has landed
-        )
+        source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
+        self.url = f"http://{LOOPBACK}:{page_port}/?theme=dark&url={source}"
+        self.error: str | None = None
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._is_closing = False
+        self._changed = threading.Condition()
+        self._process = _serve(data_port, page_port)
+        self._thread = threading.Thread(target=self._write, name="viz-page", daemon=True)
+        self._thread.start()
+
+    def feed(self, data: bytes) -> None:
+        """Pass on more of the recording; never waits. A page that falls far behind is given up."""
+        with self._changed:
+            if self.error is not None:
+                return
+            if self._waiting_bytes + len(data) > MAX_WAITING_BYTES:
+                self.error = "the live page stopped: its browser does not keep up"
+                self._waiting.clear()
+            else:
+                self._waiting.append(data)
+                self._waiting_bytes += len(data)
+            self._changed.notify()
 
     def close(self, timeout_s: float = 3.0) -> None:
-        """End the child process."""
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
+        """Give the page what is still waiting, then end its process."""
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            self._kill()
+            self._thread.join(timeout_s)
+        try:
             self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self._kill()
+            self._process.wait(timeout_s)
+
+    def _kill(self) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+    def _write(self) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError), self._process.stdin as stdin:
+            while (data := self._next()) is not None:
+                stdin.write(data)
             return
-        self._process.kill()
-        self._process.wait()
+        with self._changed:
+            self.error = self.error or "the live page stopped: its process ended"
+
+    def _next(self) -> bytes | None:
+        with self._changed:
+            while not self._waiting and not self._is_closing and self.error is None:
+                self._changed.wait()
+            if not self._waiting:
+                return None
+            data = self._waiting.popleft()
+            self._waiting_bytes -= len(data)
+            return data
 
 
-def check_port_is_free(port: int) -> None:
-    """Raise ViewError if another program listens on this port of the loopback interface."""
+def _serve(data_port: int, page_port: int) -> subprocess.Popen[bytes]:
+    command = [
+        *(_rerun_program(), "-", "--serve-web", "--bind", LOOPBACK),
+        *("--port", str(data_port), "--web-viewer-port", str(page_port)),
+        *("--server-memory-limit", SERVER_MEMORY),
+    ]
+    return subprocess.Popen(
+        ["/bin/sh", "-c", UNTIL_STDIN_CLOSES, "sh", *command],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+        start_new_session=True,  # Ctrl-C is for the flight, which goes on until it has landed
+    )
+
+
+def _check_port_is_free(port: int) -> None:
     if not _is_free(port):
         raise ViewError(
             f"port {port} on {LOOPBACK} is taken, so the live view cannot be served there;"

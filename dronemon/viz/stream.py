@@ -31,11 +31,9 @@ from dronemon.types import (
 )
 from dronemon.viz import entities
 from dronemon.viz.file import RecordingFile
-from dronemon.viz.page import LOOPBACK, WebPage, check_port_is_free
+from dronemon.viz.page import LivePage
 from dronemon.viz.scene import Level, Scene
 
-SERVER_MEMORY = "128MB"
-"""What the live server keeps for viewers that come late; 300 pictures take about a quarter."""
 POSE_INTERVAL_S = 0.2
 FINISH_S = 5.0
 """Limit on ending the recording once all that was waiting is written."""
@@ -71,14 +69,14 @@ class FlightView:
         self._blueprint = entities.blueprint(list(targets), side_m, heading_rad)
         self._port = port if live else None
         self._queue = _BoundedQueue(max_tasks=max_tasks, max_bytes=max_bytes)
-        self._web_page: WebPage | None = None
+        self._page: LivePage | None = None
         self._worker: threading.Thread | None = None
         self._pose_due_s = -np.inf
 
     @property
     def url(self) -> str | None:
         """Address of the live page; None without one."""
-        return self._web_page.url if self._web_page else None
+        return self._page.url if self._page else None
 
     @property
     def dropped(self) -> int:
@@ -87,17 +85,20 @@ class FlightView:
 
     @property
     def error(self) -> str | None:
-        """What went wrong first, if anything did: the recording is then not complete."""
-        return (self._file.error if self._file else None) or self._queue.error
+        """What went wrong, if anything did: recording or page then lack something."""
+        parts = (self._file, self._queue, self._page)
+        return next((part.error for part in parts if part is not None and part.error), None)
 
     def __enter__(self) -> FlightView:
-        """Open the file and, live, server and page. Raises ViewError if one of them cannot be."""
+        """Open the file and, live, the page. Raises ViewError if one of them cannot be."""
         recording = rr.RecordingStream("dronemon", recording_id=str(uuid.uuid4()))
         with contextlib.ExitStack() as undo:
-            server = self._serve(self._port, undo) if self._port is not None else []
-            self._file = RecordingFile(self._rrd_path)
+            if self._port is not None:
+                self._page = LivePage(self._port)
+                undo.callback(self._page.close)
+            self._file = RecordingFile(self._rrd_path, self._page)
             undo.pop_all()
-        recording.set_sinks(self._file.sink(), *server, default_blueprint=self._blueprint)
+        recording.set_sinks(self._file.sink(), default_blueprint=self._blueprint)
         self._file.handed_over()
         recording.send_recording_name(self._title)
         self._worker = threading.Thread(
@@ -121,8 +122,8 @@ class FlightView:
             self._worker.join(timeout_s + FINISH_S)
         if self._file is not None:
             self._file.wait(FINISH_S)
-        if self._web_page is not None:
-            self._web_page.close()
+        if self._page is not None:
+            self._page.close()
 
     def area(self, area: AreaFrame, *, footprint_radius_m: float) -> None:
         """Draw the area; nothing else appears on the map before it is known."""
@@ -179,12 +180,6 @@ class FlightView:
         given = {"battery": battery, "cross_track_m": cross_track_m, "decision_ms": decision_ms}
         values = {key: value for key, value in given.items() if value is not None}
         self._queue.put(lambda rec, scene: scene.scalars(rec, time_s, values))
-
-    def _serve(self, port: int, undo: contextlib.ExitStack) -> list[rr.GrpcServerSink]:
-        check_port_is_free(port)
-        self._web_page = WebPage(port)
-        undo.callback(self._web_page.close)
-        return [rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=SERVER_MEMORY)]
 
 
 class _BoundedQueue:
