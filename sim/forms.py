@@ -1,0 +1,305 @@
+"""The animals of the simulated world: their shapes and coats from above.
+
+Lengths are those of real animals, in metres: x towards the nose, y to the right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dronemon.mission.schema import APPEARANCES
+
+Field = NDArray[np.floating]
+"""One value for every pixel of a drawing."""
+Coat = Callable[[Field, Field], Field]
+"""Colour of the coat at x, y: (rows, columns) m each -> (rows, columns, 3) BGR, 0 to 1."""
+
+# Colours are BGR, 0 to 1.
+_BLACK = (0.07, 0.07, 0.08)
+_WHITE = (0.93, 0.96, 0.97)
+_PALE = (0.62, 0.66, 0.68)
+_WOOL = (0.80, 0.90, 0.94)
+_TAN = (0.30, 0.50, 0.72)
+_CHESTNUT = (0.09, 0.17, 0.36)
+_RUSSET = (0.10, 0.37, 0.88)
+_TIGER = (0.12, 0.50, 0.96)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Form:
+    """The shape of one kind of animal from above, in real metres.
+
+    outline_m: (x, half width) from rump to nose; the x origin may be anywhere, sprites centre it.
+    """
+
+    outline_m: tuple[tuple[float, float], ...]
+    back_height_m: float
+    legs_m: tuple[float, float, float, float]
+    """x of the hind and of the fore legs, half their distance, and their radius."""
+    stride_m: float
+    leg_colour: tuple[float, float, float]
+    tail_m: tuple[float, float]
+    """Length and radius."""
+    tail_colours: tuple[tuple[float, float, float], tuple[float, float, float]]
+    """At its root and at its tip."""
+    ears_m: tuple[float, float, float]
+    """x, half their distance, radius."""
+    ear_colour: tuple[float, float, float]
+    has_antlers: bool = False
+
+
+def _plain(x: Field, colour: tuple[float, float, float]) -> Field:
+    return np.broadcast_to(np.array(colour, np.float32), (*x.shape, 3)).copy()
+
+
+def _mix(base: Field, colour: tuple[float, float, float], weight: Field) -> Field:
+    return base + np.clip(weight, 0.0, 1.0)[..., None] * (np.array(colour, np.float32) - base)
+
+
+def _cow(x: Field, y: Field) -> Field:
+    """White with large black patches and a black head."""
+    patches = np.sin(3.9 * x + 0.8) * np.cos(4.2 * y + 0.9) + 0.5 * np.sin(6.1 * x - 5.0 * y + 1.0)
+    coat = _mix(_plain(x, _WHITE), _BLACK, 14.0 * (patches - 0.05))
+    coat = _mix(coat, _BLACK, 20.0 * (x - 0.80))
+    return _mix(coat, _WHITE, 20.0 * (0.05 - np.abs(y)) * (x > 0.85))  # blaze
+
+
+def _deer(x: Field, y: Field) -> Field:
+    """Light tan with white spots, a darker spine and a white rump."""
+    spots = np.sin(24.0 * x) * np.sin(30.0 * y)
+    coat = _mix(_plain(x, _TAN), _WHITE, 4.0 * (spots - 0.6) * (np.abs(x) < 0.5))
+    coat = _mix(coat, (0.16, 0.30, 0.45), 12.0 * (0.05 - np.abs(y)))
+    return _mix(coat, _WHITE, 16.0 * (-0.52 - x))
+
+
+def _fox(x: Field, y: Field) -> Field:
+    """Russet with a white muzzle."""
+    return _mix(_plain(x, _RUSSET), _WHITE, 18.0 * (x - 0.44))
+
+
+def _horse(x: Field, y: Field) -> Field:
+    """Dark chestnut with a black mane."""
+    mane = 25.0 * (0.06 - np.abs(y)) * ((x > 0.45) & (x < 1.05))
+    return _mix(_plain(x, _CHESTNUT), _BLACK, mane)
+
+
+def _panda(x: Field, y: Field) -> Field:
+    """White with a black band over the shoulders and black patches around the eyes."""
+    coat = _mix(_plain(x, _WHITE), _BLACK, 16.0 * (0.17 - np.abs(x - 0.30)))
+    return _mix(coat, _BLACK, 20.0 * (0.07 - np.hypot(x - 0.72, np.abs(y) - 0.12)))
+
+
+def _sheep(x: Field, y: Field) -> Field:
+    """Cream wool in curls, with a black face."""
+    curls = np.sin(27.0 * x) * np.sin(27.0 * y)
+    coat = _plain(x, _WOOL) * (1.0 + 0.08 * curls)[..., None]
+    return _mix(coat, _BLACK, 25.0 * (x - 0.50))
+
+
+def _tiger(x: Field, y: Field) -> Field:
+    """Bright orange with thin black stripes across and pale flanks."""
+    coat = _mix(_plain(x, _TIGER), (0.70, 0.85, 0.95), 6.0 * (np.abs(y) - 0.20))
+    stripes = np.sin(30.0 * x + 3.0 * np.abs(y)) - 0.25
+    return _mix(coat, _BLACK, 3.0 * stripes * (np.abs(x) < 0.75))
+
+
+def _zebra(x: Field, y: Field) -> Field:
+    """White with broad black stripes across and a black muzzle."""
+    stripes = np.sin(21.0 * x + 2.0 * np.abs(y))
+    coat = _mix(_plain(x, _WHITE), _BLACK, 4.0 * stripes + 0.5)
+    return _mix(coat, _BLACK, 20.0 * (x - 1.12))
+
+
+COATS: dict[str, Coat] = {
+    "cow": _cow,
+    "deer": _deer,
+    "fox": _fox,
+    "horse": _horse,
+    "panda": _panda,
+    "sheep": _sheep,
+    "tiger": _tiger,
+    "zebra": _zebra,
+}
+
+FORMS: dict[str, Form] = {
+    "cow": Form(
+        outline_m=(
+            (-0.95, 0.10),
+            (-0.85, 0.27),
+            (-0.5, 0.33),
+            (0.0, 0.38),
+            (0.45, 0.31),
+            (0.70, 0.18),
+            (0.85, 0.15),
+            (1.0, 0.16),
+            (1.2, 0.10),
+            (1.3, 0.06),
+        ),
+        back_height_m=1.4,
+        legs_m=(-0.65, 0.45, 0.28, 0.07),
+        stride_m=1.3,
+        leg_colour=_PALE,
+        tail_m=(0.30, 0.03),
+        tail_colours=(_WHITE, _BLACK),
+        ears_m=(0.93, 0.20, 0.06),
+        ear_colour=_BLACK,
+    ),
+    "deer": Form(
+        outline_m=(
+            (-0.70, 0.08),
+            (-0.60, 0.19),
+            (-0.3, 0.22),
+            (0.05, 0.22),
+            (0.35, 0.17),
+            (0.50, 0.09),
+            (0.72, 0.08),
+            (0.82, 0.10),
+            (0.98, 0.07),
+            (1.08, 0.04),
+        ),
+        back_height_m=1.0,
+        legs_m=(-0.45, 0.30, 0.16, 0.045),
+        stride_m=1.1,
+        leg_colour=_TAN,
+        tail_m=(0.15, 0.05),
+        tail_colours=(_WHITE, _WHITE),
+        ears_m=(0.76, 0.15, 0.05),
+        ear_colour=_TAN,
+        has_antlers=True,
+    ),
+    "fox": Form(
+        outline_m=(
+            (-0.40, 0.07),
+            (-0.32, 0.13),
+            (0.0, 0.14),
+            (0.18, 0.13),
+            (0.28, 0.10),
+            (0.38, 0.11),
+            (0.46, 0.07),
+            (0.56, 0.03),
+        ),
+        back_height_m=0.45,
+        legs_m=(-0.25, 0.18, 0.11, 0.035),
+        stride_m=0.6,
+        leg_colour=_BLACK,
+        tail_m=(0.42, 0.075),
+        tail_colours=(_RUSSET, _WHITE),
+        ears_m=(0.34, 0.10, 0.045),
+        ear_colour=_BLACK,
+    ),
+    "horse": Form(
+        outline_m=(
+            (-1.0, 0.12),
+            (-0.88, 0.27),
+            (-0.55, 0.31),
+            (-0.1, 0.28),
+            (0.3, 0.29),
+            (0.55, 0.20),
+            (0.75, 0.12),
+            (1.0, 0.10),
+            (1.2, 0.11),
+            (1.4, 0.07),
+            (1.5, 0.05),
+        ),
+        back_height_m=1.55,
+        legs_m=(-0.70, 0.40, 0.24, 0.06),
+        stride_m=1.7,
+        leg_colour=_BLACK,
+        tail_m=(0.45, 0.07),
+        tail_colours=(_BLACK, _BLACK),
+        ears_m=(1.08, 0.09, 0.045),
+        ear_colour=_CHESTNUT,
+    ),
+    "panda": Form(
+        outline_m=(
+            (-0.75, 0.12),
+            (-0.62, 0.32),
+            (-0.25, 0.40),
+            (0.1, 0.37),
+            (0.38, 0.28),
+            (0.48, 0.21),
+            (0.60, 0.25),
+            (0.75, 0.22),
+            (0.88, 0.12),
+            (0.95, 0.06),
+        ),
+        back_height_m=0.75,
+        legs_m=(-0.45, 0.32, 0.36, 0.12),
+        stride_m=0.8,
+        leg_colour=_BLACK,
+        tail_m=(0.10, 0.05),
+        tail_colours=(_WHITE, _WHITE),
+        ears_m=(0.56, 0.22, 0.09),
+        ear_colour=_BLACK,
+    ),
+    "sheep": Form(
+        outline_m=(
+            (-0.62, 0.12),
+            (-0.52, 0.26),
+            (-0.25, 0.31),
+            (0.1, 0.31),
+            (0.35, 0.25),
+            (0.48, 0.14),
+            (0.60, 0.12),
+            (0.72, 0.09),
+            (0.80, 0.05),
+        ),
+        back_height_m=0.8,
+        legs_m=(-0.40, 0.28, 0.22, 0.05),
+        stride_m=0.8,
+        leg_colour=_BLACK,
+        tail_m=(0.16, 0.06),
+        tail_colours=(_WOOL, _WOOL),
+        ears_m=(0.55, 0.15, 0.05),
+        ear_colour=_BLACK,
+    ),
+    "tiger": Form(
+        outline_m=(
+            (-0.80, 0.10),
+            (-0.70, 0.20),
+            (-0.35, 0.23),
+            (0.1, 0.22),
+            (0.45, 0.23),
+            (0.62, 0.16),
+            (0.75, 0.17),
+            (0.90, 0.14),
+            (1.02, 0.07),
+        ),
+        back_height_m=0.95,
+        legs_m=(-0.50, 0.42, 0.20, 0.075),
+        stride_m=1.2,
+        leg_colour=_TIGER,
+        tail_m=(0.85, 0.05),
+        tail_colours=(_TIGER, _BLACK),
+        ears_m=(0.72, 0.14, 0.05),
+        ear_colour=_BLACK,
+    ),
+    "zebra": Form(
+        outline_m=(
+            (-0.95, 0.12),
+            (-0.82, 0.26),
+            (-0.5, 0.30),
+            (-0.1, 0.28),
+            (0.25, 0.28),
+            (0.50, 0.19),
+            (0.70, 0.12),
+            (0.92, 0.10),
+            (1.08, 0.11),
+            (1.25, 0.07),
+            (1.32, 0.05),
+        ),
+        back_height_m=1.35,
+        legs_m=(-0.65, 0.38, 0.22, 0.055),
+        stride_m=1.5,
+        leg_colour=_PALE,
+        tail_m=(0.38, 0.04),
+        tail_colours=(_WHITE, _BLACK),
+        ears_m=(0.98, 0.09, 0.05),
+        ear_colour=_BLACK,
+    ),
+}
+assert set(FORMS) == set(COATS) == set(APPEARANCES)
