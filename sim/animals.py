@@ -65,7 +65,9 @@ def drawn_size_m(appearance: str) -> tuple[float, float, float]:
     x, half_width = np.array(form.outline_m).T
     centre = _centre_m(form)
     length = 2.0 * max(x.max() - centre, centre - x.min() + form.tail_m[0])
-    width = 2.0 * max(half_width.max(), _ANTLERS_M if form.has_antlers else 0.0, form.legs_m[2] + 0.1)
+    width = 2.0 * max(
+        half_width.max(), _ANTLERS_M if form.has_antlers else 0.0, form.legs_m[2] + 0.1
+    )
     height = _TRUNK_HEIGHT * form.back_height_m
     return length * DRAWN_SCALE, width * DRAWN_SCALE, height * DRAWN_SCALE
 
