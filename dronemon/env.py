@@ -251,28 +251,27 @@ class Env:
 
     def _believe(self) -> None:
         """Condition the belief on what was measured, and judge it around the targets."""
-        points, values, counts = self._store.window()
-        mask = counts & self._is_known[..., None]
-        self._posterior: Posterior = fit(points, values, mask, kernel=self._kernel)
+        self._posterior: Posterior = fit(*self.observations(), kernel=self._kernel)
         targets_au = self._targets_at(self._length_au).to(self._dtype)
         time_au = self._length_au.to(self._dtype)[:, None].expand(targets_au.shape[:-1])
         std = area_std(self._posterior, targets_au, time_au)
         self._area_std = torch.where(self._exists, std, torch.nan)
 
+    def observations(self) -> tuple[Tensor, Tensor, Tensor]:
+        """What the beliefs are conditioned on, as `fit` takes it: points, values, mask."""
+        points, values, counts = self._store.window()
+        return points, values, counts & self._is_known[..., None]
+
+    def query(self) -> Tensor:
+        """Where beliefs are looked at: the nodes now, then a little later. -> (B, 1, 2V, 3) au."""
+        nodes_au = self._nodes_au.to(self._dtype)
+        times_au = torch.stack([self._length_au, self._length_au + self._prediction_au], dim=1)
+        times_au = times_au.to(self._dtype).repeat_interleave(nodes_au.shape[1], dim=1)
+        return torch.cat([nodes_au.repeat(1, 2, 1), times_au[..., None]], dim=-1)[:, None]
+
     def _observe(self) -> Observation:
         """Predict the belief at every node, now and a little later."""
-        nodes_au = self._nodes_au.to(self._dtype)
-        times_au = [self._length_au, self._length_au + self._prediction_au]
-        query = torch.cat(
-            [
-                torch.cat(
-                    [nodes_au, t.to(self._dtype)[:, None, None].expand_as(nodes_au[..., :1])], -1
-                )
-                for t in times_au
-            ],
-            dim=1,
-        )  # (B, 2V, 3)
-        mean, std = self._posterior.predict(query[:, None])  # (B, N, 2V)
+        mean, std = self._posterior.predict(self.query())  # (B, N, 2V)
         (mean_now, mean_later), (std_now, std_later) = mean.chunk(2, -1), std.chunk(2, -1)
         return Observation(
             frames=belief_features(mean_now, std_now, mean_later, std_later),
