@@ -11,6 +11,7 @@
         ControlTaken          the pilot or a failsafe chose another mode
       CameraError             no picture, or not in time                       exit 4
       BeliefError             observations a Gaussian process cannot take      exit 5
+      PlannerError            no usable waypoint, or not in time               exit 5
       PolicyError             weights or features of the learned policy        exit 2
         CheckpointMismatch    the file is not the network that was asked for
       RecordError             the run folder cannot be made, written or read   exit 6
@@ -75,6 +76,12 @@ class CameraError(DronemonError):
 
 class BeliefError(DronemonError):
     """Observations that a Gaussian process cannot take."""
+
+    exit_code = 5
+
+
+class PlannerError(DronemonError):
+    """The planner gave no waypoint that can be flown, or not in time."""
 
     exit_code = 5
 
