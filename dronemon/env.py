@@ -149,7 +149,7 @@ class Env:
                 f" {int(self._node[episode])}; choose where neighbour_mask is true"
             )
         self._fly(self._nodes_au[rows, nodes])
-        self._node = nodes
+        self._node = nodes.clone()
         before = self._area_std
         self._believe()
         area_std, terminated = self._area_std, self._length_au > self._horizon_au - 1e-9
@@ -164,6 +164,18 @@ class Env:
             terminated=terminated,
             truncated=torch.full_like(terminated, is_over),
         )
+
+    def observations(self) -> tuple[Tensor, Tensor, Tensor]:
+        """What the beliefs are conditioned on, as `fit` takes it: points, values, mask."""
+        points, values, counts = self._store.window()
+        return points, values, counts & self._is_known[..., None]
+
+    def query(self) -> Tensor:
+        """Where beliefs are looked at: the nodes now, then a little later. -> (B, 1, 2V, 3) au."""
+        nodes_au = self._nodes_au.to(self._dtype)
+        times_au = torch.stack([self._length_au, self._length_au + self._prediction_au], dim=1)
+        times_au = times_au.to(self._dtype).repeat_interleave(nodes_au.shape[1], dim=1)
+        return torch.cat([nodes_au.repeat(1, 2, 1), times_au[..., None]], dim=-1)[:, None]
 
     def _begin(self, episodes: Sequence[int]) -> None:
         """Put some episodes at the start of what was drawn for them."""
@@ -256,18 +268,6 @@ class Env:
         time_au = self._length_au.to(self._dtype)[:, None].expand(targets_au.shape[:-1])
         std = area_std(self._posterior, targets_au, time_au)
         self._area_std = torch.where(self._exists, std, torch.nan)
-
-    def observations(self) -> tuple[Tensor, Tensor, Tensor]:
-        """What the beliefs are conditioned on, as `fit` takes it: points, values, mask."""
-        points, values, counts = self._store.window()
-        return points, values, counts & self._is_known[..., None]
-
-    def query(self) -> Tensor:
-        """Where beliefs are looked at: the nodes now, then a little later. -> (B, 1, 2V, 3) au."""
-        nodes_au = self._nodes_au.to(self._dtype)
-        times_au = torch.stack([self._length_au, self._length_au + self._prediction_au], dim=1)
-        times_au = times_au.to(self._dtype).repeat_interleave(nodes_au.shape[1], dim=1)
-        return torch.cat([nodes_au.repeat(1, 2, 1), times_au[..., None]], dim=-1)[:, None]
 
     def _observe(self) -> Observation:
         """Predict the belief at every node, now and a little later."""

@@ -171,7 +171,10 @@ def test_flight_ends_at_the_horizon_in_the_middle_of_a_leg():
     env._measure = _recorded(env._measure, measured)
     observation, rng = env.reset([setup]), [np.random.default_rng(0)]
     while True:
-        step = env.step(random_nodes(observation, rng))
+        nodes = random_nodes(observation, rng)
+        kept = nodes.clone()
+        step = env.step(nodes)
+        assert torch.equal(nodes, kept), "the caller's tensor is the caller's"
         if step.terminated.any():
             break
         observation = step.observation
