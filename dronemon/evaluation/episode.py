@@ -82,6 +82,9 @@ def measurement_times_au(count: int) -> FloatArray:
 def fly(planner: Planner, instance: Instance, conditions: Conditions) -> Episode:
     """Fly one episode.
 
+    A clairvoyant planner is told of all targets, whatever the prior; its belief is scored under
+    the prior all the same.
+
     Raises PlannerError if the planner gives a waypoint that cannot be flown to.
     """
 
@@ -94,9 +97,11 @@ def fly(planner: Planner, instance: Instance, conditions: Conditions) -> Episode
         instance.stream("roadmap"),
         instance.start_au,
     )
-    agent = _Agent(instance.start_au, targets_at, conditions)
+    told: Prior = conditions.prior
     if isinstance(planner, Clairvoyant):
         planner.foresee(targets_at)
+        told = "full"
+    agent = _Agent(instance.start_au, targets_at, conditions, told)
     planner.reset(
         Briefing(
             num_targets=agent.knowledge.num_known,
@@ -125,7 +130,9 @@ def fly(planner: Planner, instance: Instance, conditions: Conditions) -> Episode
 class _Agent:
     """The agent in its world: where it is, what it has measured, what it knows."""
 
-    def __init__(self, start_au: FloatArray, targets_at: TargetsAt, conditions: Conditions) -> None:
+    def __init__(
+        self, start_au: FloatArray, targets_at: TargetsAt, conditions: Conditions, told: Prior
+    ) -> None:
         self._conditions = conditions
         self._times_au = measurement_times_au(conditions.num_measurements)
         self._targets_au = targets_at(self._times_au)
@@ -135,7 +142,7 @@ class _Agent:
         self._node: int | None = 0  # the roadmap's first node is the start
         self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
         self._news: list[Measurement] = []
-        self.knowledge = _Knowledge(self._targets_au[0], conditions.prior)
+        self.knowledge = _Knowledge(self._targets_au[0], told)
 
     @property
     def is_done(self) -> bool:

@@ -149,7 +149,7 @@ def _run(task: Task, path: Path | None) -> Result:
         seed=task.seed,
         settings=task.settings,
         scores=metrics.scores,
-        unc_over_time=tuple(metrics.unc[1:].mean(axis=1).tolist()),
+        unc_over_time=tuple(metrics.unc[1:].mean(axis=1).round(5).tolist()),
         decisions=len(episode.decisions_s),
         decision_s=float(episode.decisions_s.mean()),
     )

@@ -54,7 +54,7 @@ class Result:
             "scores": scores,
             "decisions": self.decisions,
             "decision_s": self.decision_s,
-            "unc_over_time": [round(value, 5) for value in self.unc_over_time],
+            "unc_over_time": self.unc_over_time,
         }
         return json.dumps(record, allow_nan=False)
 

@@ -1,0 +1,123 @@
+"""What every registered planner owes whoever flies it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from dronemon.belief import Prior
+from dronemon.errors import OptionError
+from dronemon.evaluation import Conditions, fly
+from dronemon.planner import (
+    Briefing,
+    Clairvoyant,
+    Planner,
+    Snapshot,
+    TargetsAt,
+    Waypoint,
+    create_planner,
+    has_weights,
+    planner_names,
+)
+from dronemon.policy import Card, NetworkConfig, PolicyNetwork, save_checkpoint
+from dronemon.roadmap import Roadmap
+from dronemon.world import Instance
+
+Make = Callable[[], Planner]
+CARD = Card(recipe="none", command="", commit="", date="", seeds="")
+HORIZON_AU = 1.2
+
+
+class Recording:
+    """Any planner, with what it was asked and what it answered."""
+
+    def __init__(self, planner: Planner) -> None:
+        self.name = planner.name
+        self._planner = planner
+        self.asked: list[Snapshot] = []
+        self.given: list[Waypoint] = []
+
+    def foresee(self, targets_at: TargetsAt) -> None:
+        if isinstance(self._planner, Clairvoyant):
+            self._planner.foresee(targets_at)
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        self.asked.clear()
+        self.given.clear()
+        self._planner.reset(briefing, roadmap)
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        self.asked.append(snapshot)
+        self.given.append(self._planner.next_waypoint(snapshot))
+        return self.given[-1]
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
+    with torch.random.fork_rng():
+        torch.manual_seed(1)
+        network = PolicyNetwork(NetworkConfig(width=16, feed_forward=24)).eval()
+    path: Path = tmp_path_factory.mktemp("weights") / "untrained.pt"
+    save_checkpoint(path, network, CARD)
+    return str(path)
+
+
+@pytest.fixture(params=planner_names(), scope="module")
+def make(request: pytest.FixtureRequest, weights: str) -> Make:
+    kind: str = request.param
+
+    def create() -> Planner:
+        planner = create_planner(kind, checkpoint=weights if has_weights(kind) else None)
+        assert planner.name == kind
+        return planner
+
+    return create
+
+
+def conditions(prior: Prior = "full") -> Conditions:
+    return Conditions(speed_ratio=0.1, prior=prior, horizon_au=HORIZON_AU, num_nodes=40)
+
+
+@pytest.mark.parametrize(
+    ("num_targets", "prior"),
+    [(1, "full"), (3, "number"), (3, "none"), (12, "full")],
+)
+def test_planner_flies_any_number_of_targets_under_any_prior(
+    make: Make, num_targets: int, prior: Prior
+) -> None:
+    planner = Recording(make())
+    episode = fly(planner, Instance.draw(10_004, num_targets), conditions(prior))
+    steps_au = np.linalg.norm(np.diff(episode.agent_au, axis=0), axis=1)
+    assert len(steps_au) == 12
+    assert steps_au.max() <= 0.1 + 1e-9
+    for asked, given in zip(planner.asked, planner.given, strict=True):
+        assert np.all((given.position_au >= 0.0) & (given.position_au <= 1.0))
+        json.dumps(dict(given.details), allow_nan=False)
+        if given.node is not None:
+            np.testing.assert_array_equal(given.position_au, asked.roadmap.nodes_au[given.node])
+
+
+def test_planner_repeats_itself_and_remembers_no_earlier_mission(make: Make) -> None:
+    instance, other = Instance.draw(10_001, 3), Instance.draw(10_002, 2)
+    planner = make()
+    first = fly(planner, instance, conditions())
+    fly(planner, other, conditions("none"))
+    again = fly(planner, instance, conditions())
+    fresh = fly(make(), instance, conditions())
+    np.testing.assert_array_equal(first.agent_au, again.agent_au)
+    np.testing.assert_array_equal(first.agent_au, fresh.agent_au)
+
+
+def test_unknown_planner_names_the_nearest() -> None:
+    with pytest.raises(OptionError, match=r"no planner 'lawnmover'; did you mean lawnmower\?"):
+        create_planner("lawnmover")
+
+
+def test_checkpoint_is_refused_where_there_are_no_weights() -> None:
+    with pytest.raises(OptionError, match="'tsp' has no weights"):
+        create_planner("tsp", checkpoint="x.pt")

@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dronemon.errors import PlannerError
+from dronemon.evaluation import Conditions, fly
+from dronemon.planner import Briefing, Snapshot, Waypoint, create_planner
+from dronemon.roadmap import Roadmap
+from dronemon.types import FloatArray
+from dronemon.world import Instance, TargetPaths
+
+
+class Route:
+    """Flies given points, and keeps what it was told."""
+
+    name = "route"
+
+    def __init__(self, *points_au: tuple[float, float]) -> None:
+        self._points_au = points_au
+        self.snapshots: list[Snapshot] = []
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        self.briefing = briefing
+        self.snapshots.clear()
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        point_au = self._points_au[len(self.snapshots) % len(self._points_au)]
+        self.snapshots.append(snapshot)
+        return Waypoint(position_au=np.array(point_au))
+
+
+def walkers(*starts_au: tuple[float, float]) -> Instance:
+    """Targets that walk right from their starts; the agent starts at (0.1, 0.1)."""
+    starts: FloatArray = np.array(starts_au)
+    paths = TargetPaths(points_au=np.stack([starts, starts + np.array([0.4, 0.0])], axis=1))
+    return Instance(seed=0, start_au=np.array([0.1, 0.1]), paths=paths)
+
+
+def test_agent_measures_every_tenth_also_round_corners_and_targets_move_meanwhile() -> None:
+    route = Route((0.35, 0.1), (0.35, 0.35), (0.1, 0.1))
+    episode = fly(route, walkers((0.4, 0.15)), Conditions(speed_ratio=0.1, horizon_au=0.5))
+    np.testing.assert_allclose(
+        episode.agent_au,
+        [[0.1, 0.1], [0.2, 0.1], [0.3, 0.1], [0.35, 0.15], [0.35, 0.25], [0.35, 0.35]],
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(episode.targets_au[:, 0, 0], 0.4 + 0.01 * np.arange(6))
+    assert episode.observed[:, 0].tolist() == [False, False, False, True, False, False]
+    np.testing.assert_allclose(episode.times_au, 0.1 * np.arange(6))
+
+
+def test_planner_is_told_everything_once_with_the_time_of_its_arrival() -> None:
+    route = Route((0.35, 0.1), (0.35, 0.35), (0.1, 0.35))
+    fly(route, walkers((0.4, 0.15)), Conditions(speed_ratio=0.1, horizon_au=0.7))
+    first, second, third = route.snapshots
+    assert [s.time_au for s in route.snapshots] == pytest.approx([0.0, 0.25, 0.5])
+    assert [s.remaining_au for s in route.snapshots] == pytest.approx([0.7, 0.45, 0.2])
+    assert [m.time_au for m in second.measurements] == pytest.approx([0.1, 0.2])
+    assert [m.time_au for m in third.measurements] == pytest.approx([0.3, 0.4, 0.5])
+    assert first.node == 0
+    np.testing.assert_allclose(first.roadmap.nodes_au[0], [0.1, 0.1])
+    assert second.node is None
+    np.testing.assert_allclose(third.measurements[0].target_au, [[0.43, 0.15]])
+
+
+@pytest.mark.parametrize(("prior", "known"), [("full", 2), ("number", 2), ("none", 0)])
+def test_briefing_tells_what_the_prior_allows(prior: str, known: int) -> None:
+    route = Route((0.9, 0.1))
+    instance = walkers((0.4, 0.15), (0.2, 0.8))
+    fly(route, instance, Conditions(speed_ratio=0.0, prior=prior, horizon_au=0.5))  # type: ignore[arg-type]  # parametrised
+    assert route.briefing.num_targets == known
+    assert route.briefing.priors_au.shape == (known, 2)
+    assert np.isfinite(route.briefing.priors_au).all() == (prior != "number")
+
+
+def test_targets_join_in_the_order_of_their_first_sight() -> None:
+    route = Route((0.5, 0.1), (0.5, 0.5), (0.9, 0.5))
+    instance = walkers((0.9, 0.9), (0.5, 0.45), (0.35, 0.1))
+    conditions = Conditions(speed_ratio=0.0, prior="none", horizon_au=0.9)
+    episode = fly(route, instance, conditions)
+    lengths = [len(m.seen) for s in route.snapshots for m in s.measurements]
+    assert lengths == [0, 1, 1, 1, 1, 1, 2, 2]
+    last = route.snapshots[-1].measurements[-1]
+    assert last.seen.tolist() == [False, True]  # the second to be met is the true target 1
+    np.testing.assert_allclose(last.target_au[1], [0.5, 0.45])
+    assert route.snapshots[-1].belief.num_targets == 2
+    assert episode.observed.shape == (10, 3)
+    unc = episode.metrics().unc
+    assert unc.shape == (10, 3)
+    assert np.all(unc[:, 0] == 1.0)  # never met
+
+
+def test_metrics_of_a_target_in_view_are_good_and_of_a_lost_one_bad() -> None:
+    route = Route((0.15, 0.1), (0.1, 0.1))
+    episode = fly(
+        route, walkers((0.1, 0.1), (0.8, 0.8)), Conditions(speed_ratio=0.0, horizon_au=7.0)
+    )
+    metrics = episode.metrics()
+    assert metrics.unc.shape == (71, 2)
+    scores = metrics.scores
+    assert scores.min_ob == 0
+    assert metrics.unc[-1, 0] < 0.7
+    assert metrics.unc[-1, 1] == pytest.approx(1.0, abs=1e-3)
+    assert metrics.jsd[-1, 0] < 0.1 < metrics.jsd[-1, 1]
+
+
+@pytest.mark.parametrize(
+    ("point_au", "complaint"),
+    [
+        ((1.2, 0.5), "not in the unit square"),
+        ((np.nan, 0.5), "not in"),
+        ((0.1, 0.1), "cannot stop"),
+    ],
+)
+def test_waypoints_that_cannot_be_flown_to_are_the_planners_error(
+    point_au: tuple[float, float], complaint: str
+) -> None:
+    with pytest.raises(PlannerError, match=f"planner route, seed 0, at 0.000 au.*{complaint}"):
+        fly(Route(point_au), walkers((0.5, 0.5)), Conditions(speed_ratio=0.1))
+
+
+def test_clairvoyant_planner_meets_targets_it_was_never_told_of() -> None:
+    instance = Instance.draw(10_005, 3)
+    conditions = Conditions(speed_ratio=0.1, prior="none", horizon_au=6.0)
+    seen = fly(create_planner("clairvoyant"), instance, conditions).observed
+    assert np.all(seen.sum(axis=0) >= 3)
+
+
+def test_carrying_headings_on_finds_targets_that_the_plain_loop_loses() -> None:
+    instance = walkers((0.1, 0.9), (0.55, 0.1))
+    conditions = Conditions(speed_ratio=0.12, horizon_au=3.2)
+    plain, carried = (
+        fly(create_planner(kind), instance, conditions).observed.sum()
+        for kind in ("tsp", "tsp-heading")
+    )
+    assert carried > plain

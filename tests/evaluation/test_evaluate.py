@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from rich.console import Console
+from typer.testing import CliRunner
+
+from dronemon.belief import episode_metrics
+from dronemon.errors import OptionError, RecordError
+from dronemon.evaluation import Options, PlannerSpec, Result, evaluate
+from dronemon.evaluation.command import evaluate_command
+from dronemon.evaluation.results import ResultsFile
+
+QUIET = Console(quiet=True)
+
+
+def options(out: Path, **changes: Any) -> Options:
+    given: dict[str, Any] = {
+        "planners": (PlannerSpec(kind="lawnmower"), PlannerSpec(kind="tsp")),
+        "out": out,
+        "targets": (2,),
+        "speed_ratios": (Fraction(1, 10),),
+        "instances": 2,
+        "first_seed": 10_000,
+        "horizon_au": 2.0,
+        "num_nodes": 20,
+    }
+    return Options(**{**given, **changes})
+
+
+def outcome(results: list[Result]) -> list[tuple[object, ...]]:
+    """All but the time that decisions took."""
+    return [(*result.key, result.scores, result.unc_over_time) for result in results]
+
+
+def test_results_do_not_depend_on_processes_or_what_else_is_flown(tmp_path: Path) -> None:
+    alone = evaluate(options(tmp_path / "alone"), QUIET)
+    together = evaluate(options(tmp_path / "together", workers=2), QUIET)
+    assert outcome(alone) == outcome(together)
+    later = evaluate(
+        options(tmp_path / "later", first_seed=10_001, instances=1, targets=(3, 2)), QUIET
+    )
+    assert outcome(alone)[2:] == [row for row in outcome(later) if row[1] == alone[0].cell]
+
+
+def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Path) -> None:
+    (result,) = evaluate(
+        options(tmp_path, planners=(PlannerSpec(kind="tsp"),), instances=1, save_episodes=True),
+        QUIET,
+    )
+    for name in ("table.md", "table.csv", "paired.csv", "results.jsonl"):
+        assert (tmp_path / name).is_file()
+    for name in ("unc_over_time.png", "traces.png", "overview.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    (path,) = (tmp_path / "episodes").iterdir()
+    with np.load(path) as arrays:
+        assert arrays["agent_au"].shape == (21, 2)
+        assert arrays["targets_au"].shape == (21, 2, 2)
+        offsets = arrays["targets_au"] - arrays["agent_au"][:, None]
+        np.testing.assert_array_equal(
+            arrays["observed"][1:], (np.linalg.norm(offsets, axis=-1) < 0.1)[1:]
+        )
+        again = episode_metrics(
+            0.1 * np.arange(21), arrays["agent_au"], arrays["targets_au"], arrays["observed"]
+        )
+        np.testing.assert_allclose(arrays["unc"], again.unc)
+        np.testing.assert_allclose(arrays["jsd"], again.jsd)
+        assert result.scores.unc == pytest.approx(arrays["unc"][1:].mean())
+
+
+def test_finished_episodes_are_not_flown_again(tmp_path: Path) -> None:
+    first = evaluate(options(tmp_path), QUIET)
+    lines = (tmp_path / "results.jsonl").read_text().splitlines()
+    more = evaluate(options(tmp_path, instances=3), QUIET)
+    assert (tmp_path / "results.jsonl").read_text().splitlines()[: len(lines)] == lines
+    assert outcome(more)[:4] == outcome(first)
+    assert len(more) == 6
+
+
+def test_line_that_was_cut_off_is_flown_again(tmp_path: Path) -> None:
+    first = evaluate(options(tmp_path), QUIET)
+    path = tmp_path / "results.jsonl"
+    path.write_bytes(path.read_bytes()[:-30])
+    assert outcome(evaluate(options(tmp_path), QUIET)) == outcome(first)
+    assert len(ResultsFile(path).load()) == 4
+
+
+def test_other_settings_are_other_episodes(tmp_path: Path) -> None:
+    evaluate(options(tmp_path), QUIET)
+    longer = evaluate(options(tmp_path, horizon_au=2.5), QUIET)
+    assert len(longer[0].unc_over_time) == 25
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 8
+
+
+def test_damaged_line_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl"
+    path.write_text('{"method": "tsp"}\n')
+    with pytest.raises(RecordError, match=r"results\.jsonl:1 is no finished episode"):
+        evaluate(options(tmp_path), QUIET)
+
+
+def test_killed_run_goes_on_where_it_was(tmp_path: Path) -> None:
+    out, log = tmp_path / "out", tmp_path / "log"
+    arguments = ["--planner", "tsp", "--targets", "2", "--speed", "1/10", "--workers", "1"]
+    arguments += ["--instances", "400", "--first-seed", "10000", "--horizon", "2", "--nodes", "20"]
+    program = (
+        "import typer; from dronemon.evaluation.command import evaluate_command; "
+        "app = typer.Typer(); app.command()(evaluate_command); app()"
+    )
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-c", program, *arguments, "--out", str(out)],
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
+        )
+        path = out / "results.jsonl"
+        while process.poll() is None and (not path.exists() or path.stat().st_size < 2000):
+            os.sched_yield()
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    done = len(ResultsFile(path).load())
+    assert 0 < done < 400, log.read_text()
+    kept = path.read_bytes()
+    wanted = options(out, planners=(PlannerSpec(kind="tsp"),), instances=done + 2)
+    results = evaluate(wanted, QUIET)
+    assert len(results) == done + 2
+    assert path.read_bytes().startswith(kept)
+    assert len({json.loads(line)["seed"] for line in path.read_text().splitlines()}) >= done + 2
+    fresh = evaluate(options(tmp_path / "fresh", planners=wanted.planners, instances=2), QUIET)
+    assert outcome(results)[:2] == outcome(fresh)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--planner", "tsq"], "did you mean tsp?"),
+        (["--planner", "tsp,tsp"], "names one twice"),
+        (["--planner", ""], "--planner is empty"),
+        (["--targets", "0"], "--targets 0 is not 1 to 100"),
+        (["--targets", "four"], "--targets four"),
+        (["--speed", "1/0"], "--speed 1/0"),
+        (["--speed", "2"], "--speed 2 is not"),
+        (["--prior", "half"], "--prior half is none of full, number, none"),
+        (["--instances", "0"], "--instances 0 is less than 1"),
+        (["--first-seed", "-1"], "--first-seed -1 is less than 0"),
+        (["--horizon", "nan"], "--horizon nan is not"),
+        (["--nodes", "3"], "--nodes 3 is not"),
+        (["--workers", "0"], "--workers 0 is less than 1"),
+        (["--table1", "--targets", "4"], "--table1 sets --targets"),
+    ],
+)
+def test_bad_input_is_refused_with_the_reason(
+    tmp_path: Path, arguments: list[str], complaint: str
+) -> None:
+    app = typer.Typer()
+    app.command()(evaluate_command)
+    outcome = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out")])
+    assert isinstance(outcome.exception, OptionError)
+    assert outcome.exception.exit_code == 2
+    assert complaint in str(outcome.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_command_writes_where_it_was_told(tmp_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(evaluate_command)
+    arguments = ["--planner", "lawnmower", "--instances", "1", "--horizon", "0.5", "--workers", "1"]
+    outcome = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
+    assert outcome.exit_code == 0, outcome.output
+    assert "## N = 4, prior: full" in (tmp_path / "table.md").read_text()

@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import csv
+import math
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from dronemon.belief import Scores
+from dronemon.evaluation import Cell, Result
+from dronemon.evaluation.report import write_tables
+from dronemon.evaluation.tables import (
+    TABLE1_CELLS,
+    Estimate,
+    count_agreeing,
+    count_better,
+    gap_closed,
+    overall,
+    paired_differences,
+    published_rows,
+    summarise,
+)
+
+CELL = Cell(prior="full", num_targets=2, speed_ratio=Fraction(1, 30))
+OTHER = Cell(prior="full", num_targets=4, speed_ratio=Fraction(1, 10))
+
+
+def result(
+    method: str, seed: int, unc: float, *, cell: Cell = CELL, min_ob: int = 5, jsd: float = 0.2
+) -> Result:
+    return Result(
+        method=method,
+        cell=cell,
+        seed=seed,
+        settings="x",
+        scores=Scores(
+            unc=unc,
+            unc_std=0.1,
+            lost=0.25,
+            min_ob=min_ob,
+            jsd=jsd,
+            since_seen_au=1.0,
+            peak_error_au=math.nan,
+        ),
+        unc_over_time=(unc,),
+        decisions=10,
+        decision_s=0.002,
+    )
+
+
+def test_mean_and_standard_error_of_known_values() -> None:
+    estimate = Estimate.of([1.0, 2.0, 3.0, 6.0])
+    assert estimate.mean == 3.0
+    assert estimate.standard_error == pytest.approx(math.sqrt((4 + 1 + 0 + 9) / 3 / 4))
+    assert math.isnan(Estimate.of([1.0]).standard_error)
+    assert Estimate.of([1.0, math.nan, 3.0]).mean == 2.0
+
+
+def test_rows_are_means_per_method_and_cell() -> None:
+    rows = summarise(
+        [
+            result("a", 0, 0.5),
+            result("b", 0, 0.9),
+            result("a", 1, 0.7),
+            result("a", 0, 0.1, cell=OTHER),
+        ]
+    )
+    assert [(row.method, row.cell, row.instances) for row in rows] == [
+        ("a", CELL, 2),
+        ("b", CELL, 1),
+        ("a", OTHER, 1),
+    ]
+    assert rows[0].figures["unc"].mean == pytest.approx(0.6)
+    assert rows[0].figures["unc"].standard_error == pytest.approx(0.1)
+    assert rows[0].decision_s == pytest.approx(0.002)
+
+
+def test_published_table_is_the_papers() -> None:
+    rows = published_rows()
+    assert len(rows) == 48
+    assert {row.cell for row in rows} == set(TABLE1_CELLS)
+    (row,) = (row for row in rows if row.method == "TSP Loop" and row.cell == OTHER)
+    assert (row.figures["unc"].mean, row.figures["jsd"].mean) == (0.869, 0.345)
+    means = overall(rows, "STAMP")
+    assert means is not None
+    assert means["unc"].mean == pytest.approx(0.755, abs=5e-4)
+    assert means["jsd"].mean == pytest.approx(0.237, abs=5e-4)
+
+
+def test_overall_needs_all_sixteen_cells() -> None:
+    results = [result("a", 0, 0.5 + 0.01 * k, cell=cell) for k, cell in enumerate(TABLE1_CELLS)]
+    means = overall(summarise(results), "a")
+    assert means is not None
+    assert means["unc"].mean == pytest.approx(0.575)
+    assert overall(summarise(results[1:]), "a") is None
+
+
+def test_gap_is_closed_where_ours_reaches_the_bound() -> None:
+    assert gap_closed(0.7, 0.8, 0.7) == pytest.approx(1.0)
+    assert gap_closed(0.8, 0.8, 0.7) == 0.0
+    assert gap_closed(0.775, 0.8, 0.7) == pytest.approx(0.25)
+
+
+def test_differences_pair_instances_and_weigh_cells_alike() -> None:
+    results = [
+        result("a", 0, 0.5),
+        result("a", 1, 0.7),
+        result("b", 0, 0.4),
+        result("b", 1, 0.5),
+        result("b", 2, 0.0),  # not flown by a
+        *(result("a", seed, 0.9, cell=OTHER) for seed in (0, 1, 2)),
+        *(result("b", seed, 0.8, cell=OTHER) for seed in (0, 1, 2)),
+    ]
+    (difference,) = paired_differences(results)
+    assert (difference.method, difference.other, difference.cells) == ("a", "b", 2)
+    assert difference.figures["unc"].mean == pytest.approx((0.15 + 0.1) / 2)
+    assert difference.figures["unc"].standard_error == pytest.approx(0.05 / 2)
+
+
+def test_better_counts_only_what_beats_every_published_method() -> None:
+    # Best published in this cell: Unc 0.634 (STAMP), MinOb 59.24 (TSP Loop), JSD 0.070 (TSP Loop).
+    won = summarise([result("a", 0, 0.633, min_ob=60, jsd=0.069)])
+    assert count_better(won, "a") == (3, 3)
+    tied = summarise([result("a", 0, 0.634, min_ob=59, jsd=0.070)])
+    assert count_better(tied, "a") == (0, 3)
+    elsewhere = Cell(prior="none", num_targets=2, speed_ratio=Fraction(1, 30))
+    assert count_better(summarise([result("a", 0, 0.1, cell=elsewhere)]), "a") == (0, 0)
+
+
+def test_agreement_needs_unc_and_jsd_within_their_limits() -> None:
+    # Published TSP Loop: 0.643 / 0.070.
+    assert count_agreeing(summarise([result("tsp", 0, 0.663, jsd=0.100)]), "tsp") == (1, 1)
+    assert count_agreeing(summarise([result("tsp", 0, 0.664, jsd=0.100)]), "tsp") == (0, 1)
+    assert count_agreeing(summarise([result("tsp", 0, 0.643, jsd=0.101)]), "tsp") == (0, 1)
+
+
+def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
+    results = [
+        result(method, seed, unc + 0.01 * seed, cell=cell)
+        for cell in TABLE1_CELLS
+        for seed in (0, 1)
+        for method, unc in (("search", 0.7), ("clairvoyant-search", 0.65))
+    ]
+    write_tables(results, tmp_path)
+    with (tmp_path / "table.csv").open(newline="") as file:
+        records = list(csv.DictReader(file))
+    assert list(records[0])[:7] == [
+        "targets",
+        "speed_ratio",
+        "method",
+        "unc",
+        "unc_std",
+        "min_ob",
+        "jsd",
+    ]
+    assert len(records) == 16 * 2 + 48
+    first = records[0]
+    assert (first["targets"], first["speed_ratio"], first["method"]) == ("2", "1/30", "search")
+    assert (first["unc"], first["unc_se"], first["instances"]) == ("0.705", "0.0050", "2")
+    assert first["peak_error_au"] == ""
+    text = (tmp_path / "table.md").read_text()
+    network = sum(r.figures["unc"].mean for r in published_rows() if r.method == "STAMP") / 16
+    share = 100 * (network - 0.705) / (network - 0.655)
+    assert f"`search` closes the gap from the paper's network: {share:.0f} % in Unc" in text
+    assert "paper: STAMP" in text
+    assert "search minus clairvoyant-search | 16 | 0.050 ± 0.000" in text

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise, permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dronemon.belief import Belief
+from dronemon.planner import Briefing, Snapshot, create_planner
+from dronemon.planner.tour import shortest_loop
+from dronemon.planner.tsp import CarriedOn, LastSeen, Predicted, TspLoop, Whereabouts
+from dronemon.roadmap import Roadmap
+from dronemon.types import FloatArray, Measurement
+
+ROADMAP = Roadmap.random(10, 4, np.random.default_rng(0), np.array([0.5, 0.5]))
+
+
+def loop_length_au(points_au: FloatArray) -> float:
+    return float(np.linalg.norm(points_au - np.roll(points_au, 1, axis=0), axis=1).sum())
+
+
+def briefing(priors_au: FloatArray) -> Briefing:
+    return Briefing(
+        num_targets=len(priors_au),
+        priors_au=priors_au,
+        start_au=np.array([0.5, 0.5]),
+        horizon_au=30.0,
+        rng=np.random.default_rng(0),
+    )
+
+
+def sight(time_au: float, places: dict[int, Sequence[float]], num_targets: int) -> Measurement:
+    """A measurement that saw some targets."""
+    seen, target_au = np.zeros(num_targets, dtype=np.bool_), np.full((num_targets, 2), np.nan)
+    for target, place in places.items():
+        seen[target], target_au[target] = True, place
+    return Measurement(
+        time_au=time_au, agent_au=np.array([0.5, 0.5]), seen=seen, target_au=target_au
+    )
+
+
+def snapshot(time_au: float, position_au: Sequence[float], *measurements: Measurement) -> Snapshot:
+    belief = Belief(len(measurements[-1].seen) if measurements else 0)
+    for measurement in measurements:
+        belief.add(measurement)
+    return Snapshot(
+        time_au=time_au,
+        position_au=np.array(position_au),
+        node=None,
+        measurements=measurements,
+        belief=belief,
+        roadmap=ROADMAP,
+        remaining_au=30.0 - time_au,
+    )
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
+def test_loop_of_few_points_is_the_shortest(seed: int, count: int) -> None:
+    points_au = np.random.default_rng(seed).random((count, 2))
+    best = min(loop_length_au(points_au[list(order)]) for order in permutations(range(count)))
+    assert loop_length_au(points_au[shortest_loop(points_au)]) == pytest.approx(best)
+
+
+@pytest.mark.parametrize("count", [8, 9, 12, 20])
+def test_loop_round_a_circle_is_the_circle(count: int) -> None:
+    angles = np.random.default_rng(count).permutation(2 * np.pi * np.arange(count) / count)
+    points_au = 0.5 + 0.4 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    order = shortest_loop(points_au)
+    assert order[0] == 0
+    assert sorted(order.tolist()) == list(range(count))
+    assert loop_length_au(points_au[order]) == pytest.approx(
+        2 * count * 0.4 * np.sin(np.pi / count)
+    )
+
+
+def test_goal_is_left_once_seen_and_skipped_where_not_found() -> None:
+    planner = TspLoop("tsp", LastSeen())
+    priors_au = np.array([[0.1, 0.5], [0.9, 0.5]])
+    planner.reset(briefing(priors_au), ROADMAP)
+    assert planner.next_waypoint(snapshot(0.0, [0.4, 0.5])).details["goal"] == 0
+    seen = planner.next_waypoint(snapshot(0.1, [0.3, 0.5], sight(0.1, {0: (0.2, 0.5)}, 2)))
+    assert seen.details["goal"] == 1
+    np.testing.assert_allclose(seen.position_au, [0.4, 0.5])
+    reached = planner.next_waypoint(snapshot(0.7, [0.9, 0.5], sight(0.7, {}, 2)))
+    assert reached.details["goal"] == 0
+    np.testing.assert_allclose(reached.position_au, [0.8, 0.5])  # towards (0.2, 0.5)
+
+
+def test_loop_is_flown_on_in_the_same_sense() -> None:
+    planner = TspLoop("tsp", LastSeen())
+    planner.reset(briefing(np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]])), ROADMAP)
+    here, goals = np.array([0.1, 0.2]), []
+    for step in range(1, 41):
+        nudged = {step % 4: ([0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9])[step % 4]}
+        waypoint = planner.next_waypoint(
+            snapshot(0.1 * step, list(here), sight(0.1 * step, nudged, 4))
+        )
+        here = waypoint.position_au
+        goals.append(waypoint.details["goal"])
+    changes = [(a, b) for a, b in pairwise(goals) if a != b]
+    assert changes
+    assert len({(int(str(b)) - int(str(a))) % 4 for a, b in changes}) == 1
+
+
+@pytest.mark.parametrize(
+    ("whereabouts", "expected"),
+    [(LastSeen(), [0.4, 0.5]), (CarriedOn(), [0.5, 0.5])],
+)
+def test_where_a_walker_is_thought_to_be(whereabouts: Whereabouts, expected: list[float]) -> None:
+    whereabouts.reset(briefing(np.array([[0.2, 0.5]])))
+    whereabouts.take(snapshot(2.0, [0.5, 0.5], sight(2.0, {0: (0.4, 0.5)}, 1)))
+    np.testing.assert_allclose(whereabouts.at(3.0)[0], expected)
+
+
+def test_belief_is_thought_to_peak_where_the_target_was_seen() -> None:
+    whereabouts = Predicted()
+    whereabouts.reset(briefing(np.full((2, 2), np.nan)))
+    whereabouts.take(snapshot(0.1, [0.5, 0.5], sight(0.1, {1: (0.55, 0.45)}, 2)))
+    places_au = whereabouts.at(0.1)
+    assert np.isnan(places_au[0]).all()
+    np.testing.assert_allclose(places_au[1], [0.55, 0.45])
+
+
+def test_lanes_are_flown_until_every_target_was_found() -> None:
+    planner = create_planner("tsp")
+    planner.reset(briefing(np.array([[0.3, 0.3], [np.nan, np.nan]])), ROADMAP)
+    assert "goal" not in planner.next_waypoint(snapshot(0.0, [0.5, 0.5])).details
+    found = snapshot(0.1, [0.5, 0.5], sight(0.1, {1: (0.55, 0.45)}, 2))
+    assert planner.next_waypoint(found).details["goal"] in (0, 1)
+
+
+def test_targets_that_join_are_added_to_the_loop() -> None:
+    planner = create_planner("tsp")
+    planner.reset(briefing(np.empty((0, 2))), ROADMAP)
+    one = snapshot(5.0, [0.5, 0.5], sight(5.0, {0: (0.5, 0.55)}, 1))
+    assert planner.next_waypoint(one).details["loop"] == [0]
+    two = snapshot(5.1, [0.5, 0.6], sight(5.1, {1: (0.5, 0.65)}, 2))
+    assert planner.next_waypoint(two).details["loop"] == [0, 1]
