@@ -113,12 +113,13 @@ def test_observation_is_believed():
     assert std.item() < 1e-4
 
 
-def test_one_place_observed_for_a_whole_window_can_be_fitted():
-    points = torch.full((1, 1, 60, 3), 0.5, dtype=torch.float64)
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-6), (torch.float32, 2e-2)])
+def test_one_place_observed_for_a_whole_window_can_be_fitted(dtype, tolerance):
+    points = torch.full((1, 1, 60, 3), 0.5, dtype=dtype)
     points[..., 2] = 0.1 * torch.arange(60)
-    values = torch.ones(1, 1, 60, dtype=torch.float64)
+    values = torch.ones(1, 1, 60, dtype=dtype)
     mean, _ = fit(points, values, values.bool()).predict(points)
-    torch.testing.assert_close(mean, values, rtol=0, atol=1e-6)
+    torch.testing.assert_close(mean, values, rtol=0, atol=tolerance)
 
 
 def test_single_precision_is_near_double_precision():
