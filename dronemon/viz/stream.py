@@ -35,6 +35,8 @@ from dronemon.viz.page import LivePage
 from dronemon.viz.scene import Level, Scene
 
 POSE_INTERVAL_S = 0.2
+FLUSH_S, LIVE_FLUSH_S = 2.0, 0.5
+"""Data of this wall time are written together: at 1x half a second makes a file twice as large."""
 FINISH_S = 5.0
 """Limit on ending the recording once all that was waiting is written."""
 Task = Callable[[rr.RecordingStream, Scene], None]
@@ -91,7 +93,14 @@ class FlightView:
 
     def __enter__(self) -> FlightView:
         """Open the file and, live, the page. Raises ViewError if one of them cannot be."""
-        recording = rr.RecordingStream("dronemon", recording_id=str(uuid.uuid4()))
+        recording = rr.RecordingStream(
+            "dronemon",
+            recording_id=str(uuid.uuid4()),
+            batcher_config=rr.ChunkBatcherConfig(
+                flush_tick=FLUSH_S if self._port is None else LIVE_FLUSH_S
+            ),
+        )
+        recording.set_log_time_enabled(False)
         with contextlib.ExitStack() as undo:
             if self._port is not None:
                 self._page = LivePage(self._port)

@@ -1,0 +1,441 @@
+import math
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from rerun.chunk import RrdReader
+
+from dronemon.errors import ViewError
+from dronemon.frames import AreaFrame, ground_to_pixel
+from dronemon.types import CameraModel, Detection, Measurement, Picture, Pose
+from dronemon.viz import FlightView, belief_grid_au
+
+TARGETS = {"Bella": "cow", "Rusty & co/2": "fox"}
+CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2)
+AREA = AreaFrame(
+    centre_ned_m=(30.0, -12.0),
+    ground_down_m=0.5,
+    side_m=200.0,
+    heading_rad=0.4,
+    cruise_speed_m_s=5.0,
+)
+RERUN = Path(str(find_spec("rerun_cli").submodule_search_locations[0])) / "rerun"
+REPOSITORY = Path(__file__).parents[2]
+
+
+def view(path: Path, **options: object) -> FlightView:
+    given: dict[str, Any] = {
+        "title": "two animals",
+        "targets": TARGETS,
+        "camera": CAMERA,
+        "side_m": 200.0,
+        "heading_rad": AREA.heading_rad,
+    }
+    return FlightView(path, **{**given, **options})
+
+
+def pose(time_s: float, position_au: tuple[float, float] = (0.5, 0.5)) -> Pose:
+    north_m, east_m = AREA.au_to_ned(np.array(position_au))
+    return Pose(
+        time_s=time_s,
+        position_ned_m=(float(north_m), float(east_m), -34.5),
+        velocity_ned_m_s=(3.0, 4.0, 0.0),
+        attitude_rad=(0.05, -0.1, 0.3),
+    )
+
+
+def measurement(seen: list[bool]) -> Measurement:
+    return Measurement(
+        time_au=0.1,
+        agent_au=np.array([0.5, 0.5]),
+        seen=np.array(seen),
+        target_au=np.where(np.array(seen)[:, None], [[0.25, 0.75], [0.5, 0.5]], np.nan),
+    )
+
+
+def fly(shown: FlightView, num_measurements: int = 3) -> None:
+    """Hand over one of everything for each measurement, 4 s of vehicle time apart."""
+    rng = np.random.default_rng(10_000)
+    shown.event(None, "connect", "vehicle heard")
+    shown.area(AREA, footprint_radius_m=20.0)
+    shown.roadmap(rng.random((20, 2)), rng.integers(0, 20, (60, 2)))
+    for number in range(num_measurements):
+        time_s = 100.0 + 4.0 * number
+        for step in range(40):
+            shown.pose(pose(time_s - 4.0 + 0.1 * step))
+        shown.measurement(time_s, measurement([number > 0, False]))
+        shown.truth(time_s, np.array([[0.3, 0.3], [0.7, 0.7]]))
+        grid = belief_grid_au(40)
+        shown.beliefs(time_s, np.stack([grid[..., 0]] * 2), np.stack([grid[..., 1]] * 2))
+        shown.waypoint(time_s, np.array([0.5, 0.5]), np.array([0.9, 0.1]))
+        shown.scalars(time_s, battery=0.9 - 0.1 * number, decision_ms=4.0)
+        image = rng.integers(0, 256, (480, 640, 3), dtype=np.uint8)
+        found = [Detection(appearance="fox", pixel_px=(300.0, 200.0), score=0.9)] * (number % 2)
+        shown.picture(Picture(time_s=time_s - 0.1, image=image), found, pose(time_s - 0.1))
+    shown.event(200.0, "landed", "on the ground", level="WARN")
+
+
+def verify(path: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [RERUN, "rrd", "verify", path], capture_output=True, text=True, check=False
+    )
+
+
+def rows(path: Path, entity: str, component: str) -> list[tuple[float, Any]]:
+    """Vehicle time (NaN: static) and value of each row of one component, in order of time."""
+    found = []
+    for chunk in RrdReader(path).stream().to_chunks():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path != entity or component not in batch.schema.names:
+            continue
+        values = batch.column(component).to_pylist()
+        times_s = (
+            [math.nan] * len(values)
+            if chunk.is_static
+            else [ns.value / 1e9 for ns in batch.column("vehicle_time")]
+        )
+        found += [(t, v) for t, v in zip(times_s, values, strict=True) if v is not None]
+    return sorted(found, key=lambda row: row[0])
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "flight.rrd"
+    with view(path) as shown:
+        fly(shown)
+    assert (shown.dropped, shown.error, shown.url) == (0, None, None)
+    return path
+
+
+def test_recording_passes_reruns_check(recording: Path) -> None:
+    result = verify(recording)
+    assert result.returncode == 0, result.stderr
+
+
+def test_scalars_and_events_are_read_back_at_vehicle_time(recording: Path) -> None:
+    battery = rows(recording, "/plots/battery", "Scalars:scalars")
+    assert [t for t, _ in battery] == [100.0, 104.0, 108.0]
+    assert np.allclose([v for _, v in battery], [[0.9], [0.8], [0.7]])
+    assert rows(recording, "/plots/ground_speed_m_s", "Scalars:scalars")[0][1] == [5.0]
+    assert rows(recording, "/plots/height_m", "Scalars:scalars")[0][1] == [35.0]
+    assert [(t, v[0]) for t, v in rows(recording, "/events", "TextLog:text")] == [
+        (96.0, "connect: vehicle heard"),  # held back until the vehicle's time was known
+        (200.0, "landed: on the ground"),
+    ]
+
+
+def test_time_since_seen_counts_from_the_first_measurement_then_from_the_last_sight(
+    recording: Path,
+) -> None:
+    name = "/plots/since_seen/Rusty\\ \\&\\ co\\/2"
+    assert rows(recording, name, "Scalars:scalars") == [(100.0, [0]), (104.0, [4]), (108.0, [8])]
+    assert [v for _, v in rows(recording, "/plots/since_seen/Bella", "Scalars:scalars")] == [
+        [0]
+    ] * 3
+
+
+def test_map_is_north_up_in_metres_about_the_centre(recording: Path) -> None:
+    ((_, [seen]), _) = rows(recording, "/map/seen/Bella", "Points2D:positions")
+    north_m, east_m = AREA.au_to_ned(np.array([0.25, 0.75])) - np.array(AREA.centre_ned_m)
+    assert np.allclose(seen, [east_m, -north_m], atol=1e-4)
+    assert np.hypot(*seen) == pytest.approx(200.0 * math.hypot(0.25, 0.25), abs=1e-3)
+
+
+def test_pixels_of_a_belief_image_lie_on_the_points_of_its_grid(recording: Path) -> None:
+    ((_, [matrix]),) = rows(recording, "/map/mean/Bella", "Transform3D:mat3x3")
+    ((_, [origin]),) = rows(recording, "/map/mean/Bella", "Transform3D:translation")
+    columns = np.array(matrix).reshape(3, 3)  # stored column by column
+    for j, k in ((0, 0), (0, 39), (39, 0), (17, 5)):
+        centre = np.array(origin) + columns[0] * (k + 0.5) + columns[1] * (j + 0.5)
+        north_m, east_m = AREA.au_to_ned(np.array([k, j]) / 39.0) - np.array(AREA.centre_ned_m)
+        assert np.allclose(centre[:2], [east_m, -north_m], atol=1e-3)
+
+
+def test_belief_values_and_their_orientation_survive(recording: Path) -> None:
+    (_, [buffer]) = rows(recording, "/map/std/Bella", "DepthImage:buffer")[0]
+    stored = np.frombuffer(bytes(buffer), dtype=np.float16).reshape(40, 40)
+    assert np.allclose(stored, belief_grid_au(40)[..., 1], atol=1e-3)
+    std = rows(recording, "/plots/std/Bella", "Scalars:scalars")
+    assert std[-1][1] == pytest.approx([29 / 39])  # the grid's row nearest to y = 0.75
+
+
+def test_pictures_are_jpeg_and_carry_footprint_and_detections(recording: Path) -> None:
+    pictures = rows(recording, "/camera", "EncodedImage:blob")
+    assert [t for t, _ in pictures] == [99.9, 103.9, 107.9]
+    assert all(bytes(blob[0])[:2] == b"\xff\xd8" for _, blob in pictures)
+    labels = [v for _, v in rows(recording, "/camera/detections", "Points2D:labels")]
+    assert labels == [[], ["Rusty & co/2 0.90"], []]
+    (_, [ring]) = rows(recording, "/camera/footprint", "LineStrips2D:strips")[0]
+    north_m, east_m = pose(99.9).position_ned_m[:2]
+    edge_px = ground_to_pixel(
+        np.array([north_m + 20.0, east_m]), CAMERA, pose(99.9), AREA.ground_down_m
+    )
+    assert np.abs(np.array(ring) - edge_px).sum(axis=1).min() < 0.1
+
+
+def test_poses_are_thinned_and_a_reboot_restarts_them(tmp_path: Path) -> None:
+    with view(tmp_path / "flight.rrd") as shown:
+        shown.area(AREA, footprint_radius_m=20.0)
+        for step in range(100):
+            shown.pose(pose(50.0 + 0.01 * step))
+        shown.pose(pose(0.5))
+    times_s = [
+        t for t, _ in rows(tmp_path / "flight.rrd", "/map/vehicle", "Transform3D:translation")
+    ]
+    assert times_s == pytest.approx([0.5, 50.0, 50.2, 50.4, 50.6, 50.8], abs=0.011)
+
+
+def block_worker(shown: FlightView) -> threading.Event:
+    """Keep the worker busy until the event returned is set."""
+    started, go_on = threading.Event(), threading.Event()
+
+    def wait(*_: object) -> None:
+        started.set()
+        go_on.wait(30.0)
+
+    shown._queue.put(wait)
+    assert started.wait(10.0)
+    return go_on
+
+
+def test_a_full_queue_drops_the_newest_and_counts_them(tmp_path: Path) -> None:
+    with view(tmp_path / "flight.rrd", max_tasks=5) as shown:
+        go_on = block_worker(shown)
+        for number in range(12):
+            shown.scalars(float(number), battery=0.5)
+        assert shown.dropped == 7
+        go_on.set()
+    battery = rows(tmp_path / "flight.rrd", "/plots/battery", "Scalars:scalars")
+    assert [t for t, _ in battery] == [0, 1, 2, 3, 4]
+
+
+def test_waiting_pictures_are_limited_by_their_size(tmp_path: Path) -> None:
+    with view(tmp_path / "flight.rrd", max_bytes=2_000_000) as shown:
+        go_on = block_worker(shown)
+        image = np.zeros((480, 640, 3), dtype=np.uint8)
+        for number in range(5):
+            shown.picture(Picture(time_s=float(number), image=image), [], pose(float(number)))
+        assert shown.dropped == 3
+        go_on.set()
+    assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 2
+
+
+def test_closing_has_a_time_limit_and_counts_what_it_leaves(tmp_path: Path) -> None:
+    shown = view(tmp_path / "flight.rrd").__enter__()
+    go_on = block_worker(shown)
+    shown.scalars(1.0, battery=0.5)
+    shown.scalars(2.0, battery=0.4)
+    threading.Timer(0.5, go_on.set).start()
+    shown.close(timeout_s=0.0)
+    shown.scalars(3.0, battery=0.3)
+    assert shown.dropped == 3
+    assert verify(tmp_path / "flight.rrd").returncode == 0
+
+
+def test_a_value_that_cannot_be_shown_is_counted_and_the_rest_recorded(tmp_path: Path) -> None:
+    with view(tmp_path / "flight.rrd") as shown:
+        shown.area(AREA, footprint_radius_m=20.0)
+        shown.truth(1.0, np.zeros((1, 3)))
+        shown.scalars(2.0, battery=0.5)
+    assert shown.dropped == 1
+    assert shown.error is not None
+    assert len(rows(tmp_path / "flight.rrd", "/plots/battery", "Scalars:scalars")) == 1
+
+
+def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "flight.rrd").write_text("precious")
+    with pytest.raises(ViewError, match=r"cannot make the recording .*flight\.rrd: File exists"):
+        view(tmp_path / "flight.rrd").__enter__()
+    assert (tmp_path / "flight.rrd").read_text() == "precious"
+
+
+def test_a_full_disk_ends_the_file_but_not_the_flight(tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with view(tmp_path / "flight.rrd") as shown:
+            fly(shown)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert shown.error is not None
+    assert "File too large" in shown.error
+    assert rows_of_a_broken_file(tmp_path / "flight.rrd") > 0
+
+
+def rows_of_a_broken_file(path: Path) -> int:
+    """Rows that Rerun still reads from a file without its end."""
+    result = subprocess.run(
+        [RERUN, "rrd", "stats", path], capture_output=True, text=True, check=False
+    )
+    (line,) = [line for line in result.stdout.splitlines() if line.startswith("num_rows =")]
+    return int(line.split("=")[1].replace("\u2009", "").replace(" ", ""))
+
+
+FLIGHT = """
+import sys
+from pathlib import Path
+path, repository, tests, port = sys.argv[1:]
+sys.path[:0] = [repository, tests]
+from test_flight_view import fly, view
+with view(Path(path), live=port != "none", port=int(port) if port != "none" else 0) as shown:
+    fly(shown)
+    print(shown.url, flush=True)
+    sys.stdin.read()
+"""
+
+
+def start_flight(path: Path, port: str) -> subprocess.Popen[str]:
+    """Start a process that flies, prints its page's address, and waits for a signal."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", FLIGHT, path, REPOSITORY, Path(__file__).parent, port],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline()
+    return child
+
+
+def end_flight(child: subprocess.Popen[str], number: signal.Signals) -> None:
+    with child:
+        child.send_signal(number)
+        child.wait(20.0)
+
+
+def test_an_interrupted_flight_leaves_a_whole_recording(tmp_path: Path) -> None:
+    end_flight(start_flight(tmp_path / "flight.rrd", "none"), signal.SIGINT)
+    assert verify(tmp_path / "flight.rrd").returncode == 0
+    assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 3
+
+
+def test_a_killed_flight_leaves_a_recording_that_rerun_reads(tmp_path: Path) -> None:
+    child = start_flight(tmp_path / "flight.rrd", "none")
+    wait_until(lambda: rows_of_a_broken_file(tmp_path / "flight.rrd") > 100)
+    end_flight(child, signal.SIGKILL)
+    assert rows_of_a_broken_file(tmp_path / "flight.rrd") > 100
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+def wait_until(is_so: Callable[[], bool], limit_s: float = 20.0) -> None:
+    end_s = time.monotonic() + limit_s
+    while not is_so():
+        assert time.monotonic() < end_s, "waited too long"
+        time.sleep(0.05)
+
+
+def listening() -> set[tuple[str, int]]:
+    """Addresses on which this process and those it started listen."""
+    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    return {
+        tuple(connection.laddr)
+        for process in processes
+        for connection in process.net_connections()
+        if connection.status == psutil.CONN_LISTEN
+    }
+
+
+def is_served(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=5.0) as answer:
+            return b"Rerun" in answer.read()
+    except OSError:
+        return False
+
+
+def test_the_live_page_is_served_on_loopback_only_and_carries_the_recording(
+    tmp_path: Path,
+) -> None:
+    before, port = listening(), free_port()
+    with view(tmp_path / "flight.rrd", live=True, port=port) as shown:
+        fly(shown)
+        assert shown.url is not None
+        wait_until(lambda: is_served(shown.url or ""))
+        opened = listening() - before
+        assert {address for address, _ in opened} == {"127.0.0.1"}
+        assert port in {number for _, number in opened}
+        copy = subprocess.Popen(
+            [RERUN, "--save", tmp_path / "copy.rrd", f"rerun+http://127.0.0.1:{port}/proxy"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        wait_until(lambda: rows_of_a_broken_file(tmp_path / "copy.rrd") > 100)
+        copy.kill()
+        copy.wait()
+    assert shown.error is None
+    assert listening() == before
+    assert verify(tmp_path / "flight.rrd").returncode == 0
+
+
+def test_the_live_page_ends_with_a_killed_flight(tmp_path: Path) -> None:
+    port = free_port()
+    child = start_flight(tmp_path / "flight.rrd", str(port))
+    wait_until(lambda: is_open(port))
+    end_flight(child, signal.SIGKILL)
+    wait_until(lambda: not is_open(port))
+
+
+def is_open(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_a_taken_port_is_named_with_the_next_step(tmp_path: Path) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(ViewError, match=rf"port {port} on 127\.0\.0\.1 is taken.*view\.port"):
+            view(tmp_path / "flight.rrd", live=True, port=port).__enter__()
+    assert not (tmp_path / "flight.rrd").exists()
+
+
+def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
+    tmp_path: Path,
+) -> None:
+    with view(tmp_path / "flight.rrd", live=True, port=free_port(), max_tasks=2000) as shown:
+        wait_until(lambda: is_served(shown.url or ""))
+        for process in psutil.Process().children(recursive=True):
+            process.suspend()
+        fly(shown, num_measurements=20)
+    assert shown.dropped == 0
+    assert shown.error == "the live page stopped: its process ended"
+    assert psutil.Process().children(recursive=True) == []
+    assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 20
+
+
+def test_nothing_is_served_without_a_live_view(tmp_path: Path) -> None:
+    before = listening()
+    with view(tmp_path / "flight.rrd") as shown:
+        assert listening() == before
+        assert shown.url is None
+
+
+def test_handing_over_costs_the_flight_little(tmp_path: Path) -> None:
+    """The calls of one measurement, pictures and beliefs included, return within milliseconds."""
+    with view(tmp_path / "flight.rrd") as shown:
+        start_s = time.thread_time()
+        fly(shown, num_measurements=50)
+        spent_ms = (time.thread_time() - start_s) * 1e3 / 50
+    assert spent_ms < 15.0  # of which most is the drawing of random pictures in this test
