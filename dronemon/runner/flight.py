@@ -30,7 +30,7 @@ from dronemon.mission.load import outbound_min, usable_min
 from dronemon.planner import Briefing, Planner
 from dronemon.recorder import RunRecorder
 from dronemon.roadmap import Roadmap
-from dronemon.runner.patrol import Kit, Patrol
+from dronemon.runner.patrol import REPORT_INTERVAL_S, Kit, Patrol
 from dronemon.runner.status import Audience, FlightStatus, Interrupts, Level
 from dronemon.types import FloatArray
 from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
@@ -317,17 +317,11 @@ class _Flight:
                     await link.disarm()
                 elif land_here or self._interrupts.land_now:
                     land_here = True
-                    self._status("landing here")
                     await link.land()
                 else:
-                    self._status("returning")
                     await link.return_home()
                 self._note("homecoming", "landing here" if land_here else "returning")
-                await link.wait_until(
-                    partial(self._is_homecoming_over, land_here),
-                    "landing and disarming",
-                    LANDING_LIMIT_S,
-                )
+                await self._wait_for_landing(land_here)
                 give_up_at = loop.time() + LOST_LINK_LIMIT_S
             except ControlTaken as exc:
                 if not link.state.is_armed:
@@ -357,9 +351,22 @@ class _Flight:
             self._note("disarmed", "the motors are off")
         return None
 
-    def _is_homecoming_over(self, is_landing: bool) -> bool:
-        wants_to_land = self._interrupts.land_now and not is_landing
-        return not self._link.state.is_armed or wants_to_land
+    async def _wait_for_landing(self, land_here: bool) -> None:
+        """Wait until disarmed, or until a person wants to land here instead of at home."""
+        end_s = self._link.time_s + LANDING_LIMIT_S
+        while not self._is_down(land_here):
+            self._status("landing here" if land_here else "returning")
+            now_s = self._link.time_s
+            await self._link.wait_until(
+                partial(self._is_down, land_here, now_s + REPORT_INTERVAL_S),
+                "landing and disarming",
+                end_s - now_s,
+            )
+
+    def _is_down(self, land_here: bool, until_s: float = math.inf) -> bool:
+        """Whether to wait no longer: disarmed, another way down wanted, or time to say so."""
+        change = self._interrupts.land_now and not land_here
+        return not self._link.state.is_armed or change or self._link.time_s >= until_s
 
     def _distance_from_home_m(self) -> float | None:
         state = self._link.state
@@ -371,6 +378,9 @@ class _Flight:
     # Telling
 
     def _status(self, phase: str) -> None:
+        if self._patrol is not None:
+            self._audience.status(self._patrol.status(phase))
+            return
         self._audience.status(
             FlightStatus(
                 phase=phase,

@@ -311,21 +311,22 @@ class Patrol:
         self._is_waypoint_asked = False
 
     def _report(self, pose: Pose) -> None:
-        if pose.time_s < self._report_due_s:
-            return
-        self._report_due_s = pose.time_s + REPORT_INTERVAL_S
-        tally, horizon_au = self.tally, self._kit.mission.horizon_au
-        flown_au = tally.flown_m / self._side_m if tally else 0.0
-        self._kit.audience.status(
-            FlightStatus(
-                phase="patrol" if tally else "to the start",
-                flown_au=flown_au,
-                horizon_au=horizon_au,
-                left_s=self._kit.frame.au_to_s(horizon_au - flown_au),
-                speed_m_s=_ground_speed(pose),
-                battery=self._kit.link.state.battery,
-                since_seen_s=self._since_seen_s(pose.time_s),
-            )
+        if pose.time_s >= self._report_due_s:
+            self._report_due_s = pose.time_s + REPORT_INTERVAL_S
+            self._kit.audience.status(self.status("patrol" if self.tally else "to the start"))
+
+    def status(self, phase: str) -> FlightStatus:
+        """How far the patrol is, as a line of progress of any phase."""
+        horizon_au, pose = self._kit.mission.horizon_au, self._kit.link.pose
+        flown_au = self.tally.flown_m / self._side_m if self.tally else 0.0
+        return FlightStatus(
+            phase=phase,
+            flown_au=flown_au,
+            horizon_au=horizon_au,
+            left_s=self._kit.frame.au_to_s(max(horizon_au - flown_au, 0.0)),
+            speed_m_s=_ground_speed(pose),
+            battery=self._kit.link.state.battery,
+            since_seen_s=self._since_seen_s(pose.time_s),
         )
 
     def _since_seen_s(self, now_s: float) -> Mapping[str, float | None]:
