@@ -235,7 +235,7 @@ class RunFolder:
 
     def mission_text(self) -> str:
         """Read the mission as flown."""
-        return (self.path / MISSION_FILE).read_text(encoding="utf-8")
+        return (self.path / MISSION_FILE).read_bytes().decode()
 
     def summary(self) -> dict[str, Any]:
         """Read the summary; its outcome is `in flight` if the program never came to the end."""

@@ -13,7 +13,7 @@ from dronemon.recorder import RUN_FILES, RunFolder, RunRecorder
 from dronemon.types import Measurement
 
 NAMES = ("Bella", "Zuri")
-MISSION = "name: Two animals\n# as the pilot wrote it: °\n"
+MISSION = "name: Two animals\n# as the pilot wrote it: °\r\n"
 
 
 def create(root: Path, **options: object) -> RunRecorder:

@@ -324,13 +324,6 @@ def test_an_interrupted_flight_leaves_a_whole_recording(tmp_path: Path) -> None:
     assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 3
 
 
-def test_a_killed_flight_leaves_a_recording_that_rerun_reads(tmp_path: Path) -> None:
-    child = start_flight(tmp_path / "flight.rrd", "none")
-    wait_until(lambda: rows_of_a_broken_file(tmp_path / "flight.rrd") > 100)
-    end_flight(child, signal.SIGKILL)
-    assert rows_of_a_broken_file(tmp_path / "flight.rrd") > 100
-
-
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -388,11 +381,13 @@ def test_the_live_page_is_served_on_loopback_only_and_carries_the_recording(
     assert verify(tmp_path / "flight.rrd").returncode == 0
 
 
-def test_the_live_page_ends_with_a_killed_flight(tmp_path: Path) -> None:
+def test_a_killed_flight_leaves_a_recording_that_rerun_reads_and_no_page(tmp_path: Path) -> None:
     port = free_port()
     child = start_flight(tmp_path / "flight.rrd", str(port))
     wait_until(lambda: is_open(port))
+    wait_until(lambda: rows_of_a_broken_file(tmp_path / "flight.rrd") > 100)
     end_flight(child, signal.SIGKILL)
+    assert rows_of_a_broken_file(tmp_path / "flight.rrd") > 100
     wait_until(lambda: not is_open(port))
 
 
