@@ -20,7 +20,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from dronemon.errors import RecordError
 from dronemon.evaluation.episode import Episode, fly
-from dronemon.evaluation.figures import draw_overview, draw_traces, draw_unc_over_time
 from dronemon.evaluation.options import Key, Options, PlannerSpec, Task
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, ResultsFile
@@ -53,9 +52,8 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
             results[result.key] = result
             progress.advance(bar)
     finished = [results[task.key] for task in tasks]
-    write_tables(finished, options.out)
-    draw_unc_over_time(finished, options.out / "unc_over_time.png")
-    _draw_example(options)
+    write_tables(finished, options.out, options.command)
+    _draw(finished, options)
     return finished
 
 
@@ -65,11 +63,15 @@ def fly_task(task: Task) -> Episode:
     return fly(_planner(task.planner), instance, task.conditions)
 
 
-def _draw_example(options: Options) -> None:
-    """Fly one instance of one cell again with every planner, and draw what happened.
+def _draw(results: Sequence[Result], options: Options) -> None:
+    """Draw all results over time, and one instance that every planner flies once more.
 
-    The cell is that of the paper's figure 4, or the nearest to it.
+    Its cell is that of the paper's figure 4, or the nearest to it.
     """
+    # Imported here: matplotlib would slow the start of every worker and every other command.
+    from dronemon.evaluation.figures import draw_overview, draw_traces, draw_unc_over_time
+
+    draw_unc_over_time(results, options.out / "unc_over_time.png")
     cell = min(
         options.cells,
         key=lambda cell: (abs(cell.num_targets - 4), abs(cell.speed_ratio - Fraction(1, 20))),

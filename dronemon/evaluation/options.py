@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -51,6 +51,11 @@ class PlannerSpec:
         """Read `kind`, or `kind:checkpoint`."""
         kind, colon, checkpoint = text.strip().partition(":")
         return cls(kind=kind, checkpoint=checkpoint if colon else None)
+
+    @property
+    def text(self) -> str:
+        """What `parse` reads."""
+        return self.kind if self.checkpoint is None else f"{self.kind}:{self.checkpoint}"
 
     @property
     def method(self) -> str:
@@ -160,6 +165,17 @@ class Options:
             for speed in self.speed_ratios
         ]
 
+    @property
+    def command(self) -> str:
+        """Command line that makes the same figures."""
+        return (
+            f"dronemon evaluate --planner {_listed(planner.text for planner in self.planners)}"
+            f" --targets {_listed(self.targets)} --speed {_listed(self.speed_ratios)}"
+            f" --prior {_listed(self.priors)} --instances {self.instances}"
+            f" --first-seed {self.first_seed} --horizon {self.horizon_au:g}"
+            f" --nodes {self.num_nodes}"
+        )
+
     @cached_property
     def _settings(self) -> dict[PlannerSpec, str]:
         """Digest, per planner, of what decides an outcome besides the rest of a key."""
@@ -196,6 +212,10 @@ class Options:
 def available_workers() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _listed(values: Iterable[object]) -> str:
+    return ",".join(map(str, values))
 
 
 def _digest(facts: dict[str, object]) -> str:

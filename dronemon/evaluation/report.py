@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from dronemon import __version__
 from dronemon.evaluation.options import Cell
 from dronemon.evaluation.results import Result
 from dronemon.evaluation.tables import (
@@ -36,15 +37,26 @@ DIGITS = {"min_ob": 2}
 UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
 
 
-def write_tables(results: Sequence[Result], out: Path) -> None:
-    """Write table.csv, paired.csv and table.md into a folder."""
+def write_tables(results: Sequence[Result], out: Path, command: str) -> None:
+    """Write table.csv, paired.csv and table.md into a folder; `command` made the results."""
     rows = summarise(results)
     cells = {row.cell for row in rows}
     published = [row for row in published_rows() if row.cell in cells]
     differences = paired_differences(results)
     _write_csv(out / "table.csv", _table_records([*rows, *_renamed(published)]))
     _write_csv(out / "paired.csv", _difference_records(differences))
-    text = "\n".join([*_headline(rows), *_cell_tables(rows, published), *_paired(differences)])
+    seeds = [result.seed for result in results]
+    title = [
+        "# Evaluation",
+        "",
+        f"`{command}`",
+        "",
+        f"dronemon {__version__}; one instance per seed, {min(seeds)} to {max(seeds)}; mean ± "
+        "standard error over instances.",
+        "",
+    ]
+    body = [*_headline(rows), *_cell_tables(rows, published), *_paired(differences)]
+    text = "\n".join([*title, *body])
     (out / "table.md").write_text(text, encoding="utf-8")
 
 
@@ -140,13 +152,7 @@ def _markdown(header: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]
 def _headline(rows: Sequence[Row]) -> list[str]:
     """Means over the paper's cells, beside the paper's own, and what follows from them."""
     methods = list(dict.fromkeys(row.method for row in rows))
-    instances = sorted({row.instances for row in rows})
-    lines = [
-        "# Evaluation",
-        "",
-        f"Instances per cell: {', '.join(map(str, instances))}. Mean ± standard error.",
-        "",
-    ]
+    lines: list[str] = []
     published = published_rows()
     means = {method: overall(rows, method) for method in methods}
     if any(means.values()):

@@ -142,7 +142,7 @@ def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
         for seed in (0, 1)
         for method, unc in (("search", 0.7), ("clairvoyant-search", 0.65))
     ]
-    write_tables(results, tmp_path)
+    write_tables(results, tmp_path, "dronemon evaluate --table1")
     with (tmp_path / "table.csv").open(newline="") as file:
         records = list(csv.DictReader(file))
     assert list(records[0])[:7] == [
@@ -163,5 +163,6 @@ def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
     network = sum(r.figures["unc"].mean for r in published_rows() if r.method == "STAMP") / 16
     share = 100 * (network - 0.705) / (network - 0.655)
     assert f"`search` closes the gap from the paper's network: {share:.0f} % in Unc" in text
+    assert "`dronemon evaluate --table1`" in text
     assert "paper: STAMP" in text
     assert "search minus clairvoyant-search | 16 | 0.050 ± 0.000" in text
