@@ -32,12 +32,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--width", type=int, default=128)
     parser.add_argument("--decisions", type=int, default=400)
-    parser.add_argument("--distance-bias", action="store_true")
+    parser.add_argument("--ways", action="store_true")
     options = parser.parse_args()
     torch.manual_seed(0)
-    config = NetworkConfig(
-        width=options.width, feed_forward=4 * options.width, distance_bias=options.distance_bias
-    )
+    config = NetworkConfig(width=options.width, feed_forward=4 * options.width, ways=options.ways)
     network = PolicyNetwork(config).eval()
     rng = np.random.default_rng(0)
     roadmap = Roadmap.random(NUM_NODES, 10, rng, rng.random(2))

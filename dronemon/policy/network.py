@@ -38,8 +38,7 @@ class NetworkConfig:
     """Shape of the network; the defaults are the paper's.
 
     predictions: give beliefs a little later, too (the paper's ablation "w/o" does not); temporal:
-    how history is read; distance_bias: let attention between nodes fall with their distance along
-    the roadmap.
+    how history is read; ways: tell nodes how far apart they are along the roadmap.
     """
 
     width: int = 128
@@ -49,7 +48,7 @@ class NetworkConfig:
     stride: int = 5
     predictions: bool = True
     temporal: Literal["attention", "lstm"] = "attention"
-    distance_bias: bool = False
+    ways: bool = False
 
     def __post_init__(self) -> None:
         if self.width % self.num_heads:
@@ -251,37 +250,63 @@ class SpatialEncoder(nn.Module):
         self.eigenvectors = nn.Linear(config.num_eigenvectors, config.width)
         self.attention = Projections(config.width, config.num_heads)
         self.residual = Residual(config.width, config.feed_forward)
-        # Differs from STAMP: optional. Scores fall with the length of the way, at a learned rate
-        # for each head.
-        self.falloff = (
-            nn.Parameter(torch.linspace(0.0, 6.0, config.num_heads))
-            if config.distance_bias
-            else None
-        )
+        self.ways = Ways(config) if config.ways else None
 
     def forward(self, nodes: Tensor, graphs: Graphs, queried: Tensor) -> Tensor:
         """Spatio-temporal features of the nodes that are asked for.
 
-        nodes: (B, L, V, d); queried: (B, L, q) -> (B, L, q, d).
+        nodes: (B, L, V, d); queried: (B, L, q) -> (B, L, q, d)
         """
         features = nodes + self.eigenvectors(graphs.eigenvectors)[:, None]
-        asking = _take(features, queried)
-        bias = torch.zeros_like(graphs.node_mask, dtype=features.dtype)
-        bias = bias.masked_fill(~graphs.node_mask, -torch.inf)[
-            :, None, None, None
-        ]  # (B, 1, 1, 1, V)
-        if self.falloff is not None:
-            ways = _rows(graphs.distances, queried)  # (B, L, q, V)
-            bias = bias - self.falloff[:, None, None] * ways[:, :, None]
-        maps = self.attention
-        mixed = scaled_dot_product_attention(
-            maps.heads(maps.query(asking)),
-            maps.heads(maps.key(features)),
-            maps.heads(maps.value(features)),
-            attn_mask=bias,
-        )
+        asking, maps = _take(features, queried), self.attention
+        query = maps.heads(maps.query(asking))  # (B, L, H, q, d / H)
+        query = query / math.sqrt(query.shape[-1])
+        scores = query @ maps.heads(maps.key(features)).transpose(-1, -2)
+        if self.ways is not None:
+            closeness = self.ways.closeness(_rows(graphs.distances, queried))
+            scores = scores + self.ways.scores(query, closeness)
+        scores = scores.masked_fill(~graphs.node_mask[:, None, None, None], -torch.inf)
+        weights = scores.softmax(-1)  # (B, L, H, q, V)
+        mixed = weights @ maps.heads(maps.value(features))
+        if self.ways is not None:
+            mixed = mixed + self.ways.values(weights, closeness)
         result: Tensor = self.residual(asking, maps.out(mixed.transpose(-3, -2).flatten(-2)))
         return result
+
+
+class Ways(nn.Module):
+    """Relative keys and values: how far apart two nodes are along the roadmap.
+
+    Source: Shaw, Uszkoreit & Vaswani (2018), with R smooth functions of distance for their labels.
+    """
+
+    # Differs from STAMP: optional. The paper's nodes know their place and the distance from the
+    # agent, but not from each other, and find out what is near a neighbour by coordinates alone.
+
+    REACHES_AU = (0.1, 0.3, 1.0)
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        heads, size = config.num_heads, config.width // config.num_heads
+        count = len(self.REACHES_AU)
+        start = torch.linspace(0.0, 3.0, heads)[:, None].expand(heads, count)
+        self.bias = nn.Parameter(start.clone())
+        self.key = nn.Parameter(torch.randn(heads, size, count) / math.sqrt(size))
+        self.value = nn.Parameter(torch.randn(heads, count, size) / math.sqrt(count))
+
+    def closeness(self, distances: Tensor) -> Tensor:
+        """Functions of distance that fall from 1 to 0 within each reach. (...) -> (..., R)."""
+        return torch.exp(-distances[..., None] / distances.new_tensor(self.REACHES_AU))
+
+    def scores(self, query: Tensor, closeness: Tensor) -> Tensor:
+        """What relative keys add. query: (B, L, H, q, e); closeness: (B, L, q, V, R)."""
+        pull = query @ self.key + self.bias[:, None]  # (B, L, H, q, R)
+        return (closeness @ pull.permute(0, 1, 3, 4, 2)).permute(0, 1, 4, 2, 3)
+
+    def values(self, weights: Tensor, closeness: Tensor) -> Tensor:
+        """What relative values add. weights: (B, L, H, q, V) -> (B, L, H, q, e)."""
+        mean = weights.transpose(2, 3) @ closeness.to(weights.dtype)  # (B, L, q, H, R)
+        return mean.transpose(2, 3) @ self.value
 
 
 class Decoder(nn.Module):

@@ -63,11 +63,11 @@ def train_command(
     predictions: Annotated[
         bool, typer.Option("--predictions/--no-predictions", help="Show beliefs a little later.")
     ] = True,
-    distance_bias: Annotated[
+    ways: Annotated[
         bool,
         typer.Option(
-            "--distance-bias/--no-distance-bias",
-            help="Let attention between nodes fall with their distance.",
+            "--ways/--no-ways",
+            help="Tell nodes how far apart they are.",
         ),
     ] = False,
     episodes: Annotated[
@@ -103,7 +103,7 @@ def train_command(
             feed_forward=feed_forward if feed_forward is not None else 4 * width,
             temporal=temporal.value,
             predictions=predictions,
-            distance_bias=distance_bias,
+            ways=ways,
         ),
         paper=paper,
         expert=expert,

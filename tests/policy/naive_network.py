@@ -90,7 +90,7 @@ def naive_verdict(
         aware = network.temporal.cell(timed.transpose(0, 1))[0][:, -1]
     spatial = network.spatial_encoder
     nodes = (aware + spatial.eigenvectors(graphs.eigenvectors[0]))[None]
-    nodes = _biased_layer(spatial, nodes, graphs)[0]
+    nodes = _related_layer(spatial, nodes, graphs)[0]
     ways = graphs.distances[0, current]
     placed = network.decoder.distance(torch.cat([nodes, ways[:, None]], dim=-1))
     neighbours = placed[graphs.neighbours[0, current]]
@@ -101,20 +101,24 @@ def naive_verdict(
     return logits.masked_fill(~mask, -torch.inf), network.decoder.value(chosen)[0]
 
 
-def _biased_layer(spatial: nn.Module, nodes: Tensor, graphs: Graphs) -> Tensor:
-    """The spatial encoder over all nodes. nodes: (1, V, d)."""
-    if spatial.falloff is None:
+def _related_layer(spatial: nn.Module, nodes: Tensor, graphs: Graphs) -> Tensor:
+    """The spatial encoder, with a key and a value for each pair of nodes. nodes: (1, V, d)."""
+    if spatial.ways is None:
         return naive_layer(spatial, nodes, nodes, graphs.node_mask[:, None])
     maps = spatial.attention
     width = nodes.shape[-1] // maps.num_heads
+    reaches = nodes.new_tensor(spatial.ways.REACHES_AU)
+    closeness = torch.exp(-graphs.distances[0][..., None] / reaches)  # (V, V, R)
     heads = []
     for head in range(maps.num_heads):
         rows = slice(head * width, (head + 1) * width)
-        q, k, v = (m(nodes)[..., rows] for m in (maps.query, maps.key, maps.value))
-        scores = (
-            q @ k.transpose(-1, -2) / math.sqrt(width) - spatial.falloff[head] * graphs.distances
-        )
-        heads.append(scores.masked_fill(~graphs.node_mask[:, None], -torch.inf).softmax(-1) @ v)
+        q, k, v = (m(nodes)[0, :, rows] for m in (maps.query, maps.key, maps.value))
+        keys = k[None] + closeness @ spatial.ways.key[head].T  # (V, V, e)
+        values = v[None] + closeness @ spatial.ways.value[head]
+        scores = torch.einsum("ie,ije->ij", q, keys) / math.sqrt(width)
+        scores = scores + closeness @ spatial.ways.bias[head]
+        weights = scores.masked_fill(~graphs.node_mask, -torch.inf).softmax(-1)
+        heads.append(torch.einsum("ij,ije->ie", weights, values))
     residual = spatial.residual
     hidden = residual.norm_attended(nodes + maps.out(torch.cat(heads, dim=-1)))
     return residual.norm_out(hidden + residual.feed_forward(hidden))

@@ -18,7 +18,7 @@ VARIANTS = {
     "paper": SMALL,
     "without predictions": replace(SMALL, predictions=False),
     "lstm": replace(SMALL, temporal="lstm"),
-    "distance bias": replace(SMALL, distance_bias=True),
+    "ways": replace(SMALL, ways=True),
     "stride 3": replace(SMALL, stride=3),
 }
 

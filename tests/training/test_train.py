@@ -21,7 +21,7 @@ from dronemon.training import METRICS, Plan, train
 from dronemon.training.imitation import ExpertConfig
 from dronemon.training.ppo import PpoConfig
 
-SMALL = NetworkConfig(width=16, num_heads=2, feed_forward=24, distance_bias=True)
+SMALL = NetworkConfig(width=16, num_heads=2, feed_forward=24, ways=True)
 PAPER = PpoConfig(
     episodes_per_iteration=3,
     decisions=12,
@@ -159,7 +159,7 @@ def test_a_run_survives_kill_9(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_two_minutes_of_training_improve_the_reward(tmp_path: Path) -> None:
-    options = ["--width", "32", "--distance-bias", "--episodes", "4", "--imitation-share", "1"]
+    options = ["--width", "32", "--ways", "--episodes", "4", "--imitation-share", "1"]
     options += ["--decisions", "96", "--validation-episodes", "8"]
     assert spawn(tmp_path / "untrained", 0.1, *options, "--recipe", "paper").wait() == 0
     assert spawn(tmp_path / "trained", 2.0, *options).wait() == 0
