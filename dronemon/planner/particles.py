@@ -42,8 +42,8 @@ class MotionSettings:
     num_particles: int = 240
     turns_per_au: float = TURNS_PER_AU
     noise_au: float = 0.0015
-    trail_radius_au: float = 0.08
-    trail_doubt: float = 0.5
+    trail_radius_au: float = 0.1
+    trail_doubt: float = 0.9
 
 
 @njit(cache=True, fastmath=True)
@@ -236,8 +236,8 @@ class ParticleBelief:
         self, num_particles: int, num_steps: int, interval_au: float
     ) -> tuple[FloatArray, FloatArray]:
         """Give some particles of each target, now and walked on. -> (N, m, 2), (H, N, m, 2)."""
-        count = self._motion.num_particles
-        chosen = self._rng.permutation(count)[:num_particles]
+        # Always the first ones: plans made against the same particles keep their worth.
+        chosen = np.arange(min(num_particles, self._motion.num_particles))
         speeds = np.tile(self._speeds[chosen], len(self.tracks))
         walkers = np.concatenate([track.walkers[:, chosen] for track in self.tracks], axis=1)
         shape = (len(self.tracks), len(chosen), 2)
@@ -317,8 +317,8 @@ class ParticleBelief:
     def _miss(self, track: Track, agent_au: FloatArray) -> None:
         """Remove the particles that a miss refutes, and put others in their place."""
         motion = self._motion
-        is_old = [(self.time_au - t) * self.speed.mean > 0.3 for t, _, _ in track.trail]
-        old = [(x, y) for (_, x, y), old in zip(track.trail, is_old, strict=True) if old]
+        latest_au = self.time_au - 0.3 / self.speed.mean
+        old = [(x, y) for time_au, x, y in track.trail if time_au < latest_au]
         lost = refuted(
             track.walkers,
             agent_au,

@@ -34,14 +34,18 @@ class SearchSettings:
     Found by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
     """
 
-    num_steps: int = 20
-    """Horizon, in measurements."""
+    num_steps: int = 22
+    """Longest horizon, in measurements."""
+    walk_au: float = 0.18
+    """Walk of a target after which its place is a guess; the horizon ends there at the latest."""
     num_drawn: int = 200
     """Paths drawn at every decision."""
     num_refined: int = 150
     """Small changes of the best path tried after that."""
     num_planned: int = 40
-    """Particles of each target that paths are scored against."""
+    """Most particles of each target that paths are scored against."""
+    num_planned_in_all: int = 240
+    """Most particles of all targets; bounds the time of a decision."""
     discount: float = 0.975
     """Worth of a gain one measurement later."""
     fading: float = 0.985
@@ -56,6 +60,8 @@ class SearchSettings:
     """Measurements in which that knowledge fades to 1/e."""
     miss_cost: float = 0.9
     """Cost of a miss at a target, falling off as the belief's peak does."""
+    miss_floor: float = 0.0
+    """Height of the peak, of 1, at which a miss costs nothing any more."""
     guided_share: float = 0.7
     """Paths whose goals are drawn by urgency and nearness, rather than at random."""
     greed: float = 6.0
@@ -64,7 +70,7 @@ class SearchSettings:
     """How far from a particle a goal may be."""
     refine_au: float = 0.05
     """Typical change of a goal in refinement."""
-    unfound_weight: float = 3.0
+    unfound_weight: float = 10.0
     """Weight of a target that was never seen: once found, it can be followed.
 
     While more targets may exist than are known, an imagined one has this weight too.
@@ -84,11 +90,15 @@ class SearchSettings:
             scatter_au=self.scatter_au,
         )
 
+    def horizon(self, speed: float) -> int:
+        """Measurements to look ahead over, for targets of a speed."""
+        return min(self.num_steps, math.ceil(self.walk_au / speed / MEASUREMENT_INTERVAL_AU))
+
     def tables(self, speed: float) -> paths.Tables:
         """Look-up tables of the score for targets of a speed."""
         return paths.make_tables(
             speed=speed,
-            num_steps=self.num_steps,
+            num_steps=self.horizon(speed),
             discount=self.discount,
             fading=self.fading,
             drift=self.drift,
@@ -96,6 +106,7 @@ class SearchSettings:
             sight_gain=self.sight_gain,
             forget_steps=self.forget_steps,
             miss_cost=self.miss_cost,
+            miss_floor=self.miss_floor,
         )
 
 
@@ -129,8 +140,8 @@ class _Evidence:
         for m, measurement in enumerate(self._measurements):
             points[:, m, :2] = measurement.agent_au
             points[:, m, 2] = measurement.time_au
-            seen = np.flatnonzero(measurement.seen)
-            points[seen, m, :2] = measurement.target_au[seen]
+            for seen in measurement.seen.nonzero()[0]:
+                points[seen, m, :2] = measurement.target_au[seen]
         counts = np.full(num_targets, num_points)
         for i, prior in enumerate(self._priors):
             if prior and time_au < _WINDOW_AU:
@@ -214,11 +225,14 @@ class SearchPlanner:
 
         -> (N, m, 2), (H, N, m, 2), ratio to the agent's
         """
-        settings = self.settings
+        speed = self._belief.speed.mean
+        count = self.settings.num_planned_in_all // len(self._belief.tracks)
         now, later = self._belief.futures(
-            settings.num_planned, settings.num_steps, MEASUREMENT_INTERVAL_AU
+            min(self.settings.num_planned, count),
+            self.settings.horizon(speed),
+            MEASUREMENT_INTERVAL_AU,
         )
-        return now, later, self._belief.speed.mean
+        return now, later, speed
 
     def _search(
         self, time_au: float, start: paths.Start, options: IntArray
@@ -321,11 +335,13 @@ class ClairvoyantSearchPlanner(SearchPlanner):
 
     def _foreseen(self, time_au: float) -> tuple[FloatArray, FloatArray, float]:
         """The true places, and the mean speed over the horizon."""
-        steps = np.arange(self.settings.num_steps + 1, dtype=np.float64)
+        nearby = self._targets_at(time_au + np.array([0.0, MEASUREMENT_INTERVAL_AU]))
+        walked = np.linalg.norm(nearby[1] - nearby[0], axis=-1)
+        speed = max(float(np.mean(walked)) / MEASUREMENT_INTERVAL_AU, 1e-3)
+        steps = np.arange(self.settings.horizon(speed) + 1, dtype=np.float64)
         times_au: FloatArray = time_au + MEASUREMENT_INTERVAL_AU * steps
         places: FloatArray = self._targets_at(times_au)[:, :, None]
-        walked = np.linalg.norm(np.diff(places[:2], axis=0), axis=-1)
-        return places[0], places[1:], float(np.mean(walked)) / MEASUREMENT_INTERVAL_AU
+        return places[0], places[1:], speed
 
 
 @cache

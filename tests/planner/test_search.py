@@ -13,7 +13,7 @@ from dronemon.planner.search import (
 from dronemon.roadmap import Roadmap
 from dronemon.world import Instance, measure, sample_leg
 
-QUICK = SearchSettings(num_drawn=40, num_refined=20, num_planned=15)
+QUICK = SearchSettings(num_drawn=40, num_refined=20, num_planned=30)
 
 
 def fly(planner, *, prior="full", num_targets=3, speed=0.05, length_au=6.0, seed=10_000, noise=0.0):

@@ -1,0 +1,100 @@
+"""What each setting of the search is worth: `python benchmarks/tune_search.py [NAME=VALUE ...]`.
+
+Flies the same development instances (seeds 10000 and up) with the settings of `SearchSettings` and
+with each change given, and prints Unc, MinOb and JSD of each cell and their mean differences, with
+the standard error over paired instances. Names are those of `SearchSettings` or `MotionSettings`;
+several changes joined by commas are made together. Without changes it prints the ablations: each
+ingredient off.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import fields, replace
+
+import numpy as np
+import torch
+
+from dronemon.evaluation.episode import Conditions, fly
+from dronemon.planner import Planner
+from dronemon.planner.particles import MotionSettings
+from dronemon.planner.search import ClairvoyantSearchPlanner, SearchPlanner, SearchSettings
+from dronemon.types import FloatArray
+from dronemon.world import Instance
+
+FIRST_SEED = 10_000
+CORNERS = "2:1/30,2:1/7,8:1/30,8:1/7"
+ABLATIONS = (
+    "num_refined=0,num_drawn=350",
+    "guided_share=0",
+    "sight_gain=0",
+    "miss_cost=0",
+    "drift=0",
+    "walk_au=10",
+    "trail_doubt=0",
+    "num_planned=10",
+    "scatter_au=0",
+)
+
+
+def changed(text: str) -> SearchSettings:
+    """Default settings with changes. text: `name=value,name=value`, or nothing."""
+    settings = SearchSettings()
+    of_motion = {field.name for field in fields(MotionSettings)}
+    for change in filter(None, text.split(",")):
+        name, value = change.split("=")
+        owner = settings.motion if name in of_motion else settings
+        kind = type(getattr(owner, name))
+        if name in of_motion:
+            settings = replace(settings, motion=replace(settings.motion, **{name: kind(value)}))
+        else:
+            settings = replace(settings, **{name: kind(value)})
+    return settings
+
+
+def scores(planner: Planner, cells: list[tuple[int, float]], num_instances: int) -> FloatArray:
+    """Unc, MinOb and JSD of every cell and instance. -> (C, K, 3)."""
+    table = np.empty((len(cells), num_instances, 3))
+    for c, (num_targets, speed_ratio) in enumerate(cells):
+        for k in range(num_instances):
+            instance = Instance.draw(FIRST_SEED + k, num_targets)
+            got = fly(planner, instance, Conditions(speed_ratio=speed_ratio)).metrics().scores
+            table[c, k] = got.unc, got.min_ob, got.jsd
+    return table
+
+
+def line(name: str, table: FloatArray, base: FloatArray) -> str:
+    """One line of the report."""
+    cells = "  ".join("{:.3f} {:5.1f} {:.3f}".format(*cell) for cell in table.mean(axis=1))
+    change = (table - base).mean(axis=0)  # (K, 3)
+    error = change.std(axis=0, ddof=1) / np.sqrt(len(change))
+    return (
+        f"{name:32s} {cells}  Unc {change[:, 0].mean():+.4f} ± {error[0]:.4f}  "
+        f"JSD {change[:, 2].mean():+.4f} ± {error[2]:.4f}"
+    )
+
+
+def main() -> None:
+    """Compare settings on paired instances."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("changes", nargs="*", default=list(ABLATIONS))
+    parser.add_argument("--instances", type=int, default=8)
+    parser.add_argument("--cells", default=CORNERS, help="number of targets : speed ratio, ...")
+    parser.add_argument("--clairvoyant", action="store_true")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    cells = []
+    for cell in arguments.cells.split(","):
+        count, ratio = cell.split(":")
+        cells.append((int(count), 1.0 / float(ratio.removeprefix("1/"))))
+    make = ClairvoyantSearchPlanner if arguments.clairvoyant else SearchPlanner
+    print(f"Unc MinOb JSD of {arguments.cells}; {arguments.instances} instances a cell")
+    base = scores(make(), cells, arguments.instances)
+    print(line("as it is", base, base), flush=True)
+    for change in arguments.changes:
+        table = scores(make(changed(change)), cells, arguments.instances)
+        print(line(change, table, base), flush=True)
+
+
+if __name__ == "__main__":
+    main()
