@@ -124,12 +124,7 @@ class _Flight:
     async def _fly(self) -> FlightResult:
         outcome, error = "failed", None
         try:
-            async with self._interruptible():
-                self._patrol = await self._prepare()
-                await self._launch()
-            outcome = await self._watch_over(self._patrol)
-        except _Interrupted:
-            outcome = "interrupted"
+            outcome = await self._tell_the_story()
         except DronemonError as exc:
             error, self._is_coming_home = exc, True
             self._note("failure", str(exc), level="ERROR")
@@ -144,6 +139,20 @@ class _Flight:
             patrol=self._patrol if self._patrol and self._patrol.tally else None,
             error=error or homecoming,
         )
+
+    async def _tell_the_story(self) -> str:
+        """Everything up to the way home. -> outcome"""
+        try:
+            async with self._interruptible():
+                self._patrol = await self._prepare()
+                await self._launch()
+        except _Interrupted:
+            return "interrupted"
+        except ControlTaken as exc:
+            if await self._is_given_back(exc):
+                raise  # too early to go on: come home
+            return "pilot"
+        return await self._watch_over(self._patrol)
 
     @contextlib.asynccontextmanager
     async def _interruptible(self) -> AsyncIterator[None]:
@@ -274,18 +283,17 @@ class _Flight:
             try:
                 return outcomes[await patrol.run()]
             except ControlTaken as exc:
-                self._note("control taken", str(exc), level="WARN")
-                if not await self._is_given_back():
-                    self._pilot_flies = True
+                if not await self._is_given_back(exc):
                     return "pilot"
-                self._note("control given back", "offboard again; the patrol goes on")
+                self._note("control given back", "offboard again")
 
-    async def _is_given_back(self) -> bool:
+    async def _is_given_back(self, taken: ControlTaken) -> bool:
         """Wait for the pilot: True once the mode is offboard again, False once disarmed.
 
         A setpoint for the present place flows meanwhile, since PX4 lets the pilot choose offboard
         only then. It does not flow during a failsafe, which it would end.
         """
+        self._note("control taken", str(taken), level="WARN")
         link = self._link
         link.release()
         self._status("the pilot flies")
@@ -301,6 +309,7 @@ class _Flight:
                         yaw_rad=pose.attitude_rad[2],
                     )
                 )
+        self._pilot_flies = True
         return False
 
     # The way home
@@ -310,7 +319,7 @@ class _Flight:
         link, loop = self._link, asyncio.get_running_loop()
         give_up_at = loop.time() + LOST_LINK_LIMIT_S
         land_here = False
-        was_armed = link.state.is_armed
+        was_armed, is_lost = link.state.is_armed, False
         while link.state.is_armed and not self._pilot_flies:
             try:
                 if link.state.landed is Landed.ON_GROUND:
@@ -322,7 +331,7 @@ class _Flight:
                     await link.return_home()
                 self._note("homecoming", "landing here" if land_here else "returning")
                 await self._wait_for_landing(land_here)
-                give_up_at = loop.time() + LOST_LINK_LIMIT_S
+                give_up_at, is_lost = loop.time() + LOST_LINK_LIMIT_S, False
             except ControlTaken as exc:
                 if not link.state.is_armed:
                     break
@@ -336,7 +345,9 @@ class _Flight:
                         LANDING_LIMIT_S,
                     )
             except LinkLost as exc:
-                self._note("link lost", str(exc), level="ERROR")
+                if not is_lost:
+                    self._note("link lost", str(exc), level="ERROR")
+                is_lost = True
                 if loop.time() > give_up_at:
                     return exc
             except (CommandRejected, CommandUnconfirmed) as exc:

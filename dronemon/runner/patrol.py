@@ -286,7 +286,12 @@ class Patrol:
         )
         self._new.clear()
         began = time.perf_counter()
-        waypoint = await _in_daemon_thread(partial(self._kit.planner.next_waypoint, snapshot))
+        try:
+            waypoint = await _in_daemon_thread(partial(self._kit.planner.next_waypoint, snapshot))
+        except Exception as exc:
+            raise PlannerError(
+                f"planner '{self._kit.planner.name}' failed: {exc!r}; the drone returns"
+            ) from exc
         decision_ms = (time.perf_counter() - began) * 1e3
         if not np.isfinite(waypoint.position_au).all():
             raise PlannerError(
@@ -343,7 +348,7 @@ async def _in_daemon_thread(call: Callable[[], Waypoint]) -> Waypoint:
     def work() -> None:
         try:
             waypoint = call()
-        except Exception as exc:  # noqa: BLE001 - handed over to the waiting task
+        except Exception as exc:  # noqa: BLE001 - a planner may fail in any way; the drone returns
             settle = partial(_settle, answer, None, exc)
         else:
             settle = partial(_settle, answer, waypoint, None)

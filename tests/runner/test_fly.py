@@ -1,0 +1,256 @@
+"""Whatever fails in flight, the drone comes home, and the record says why."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import StartMockVehicle, free_udp_port
+from pymavlink import mavutil
+
+from dronemon.camera import SimulatedCamera
+from dronemon.errors import CameraError, LinkLost, PlannerError, RecordError
+from dronemon.mission import load_mission
+from dronemon.planner import Briefing, Snapshot, Waypoint
+from dronemon.planner.lawnmower import Lawnmower
+from dronemon.recorder import RunRecorder
+from dronemon.roadmap import Roadmap
+from dronemon.runner import FlightResult, FlightStatus, Interrupts, fly
+from dronemon.vehicle.mavsdk_link import MavsdkLink
+from dronemon.viz import FlightView
+
+MISSION = """
+name: small
+area: {side_m: 100}
+flight: {altitude_m: 14, cruise_speed_m_s: 5, horizon_au: 8, start_au: [0.5, 0.4]}
+camera: {timeout_s: 1.5}
+vehicle: {link_loss_timeout_s: 2.0}
+targets:
+  - {name: Bella, appearance: cow, prior_au: [0.4, 0.6]}
+"""
+
+
+OFFBOARD = 393216  # PX4's custom mode
+
+
+class Audience:
+    """Keeps what it is told; `on_event` may act on it."""
+
+    def __init__(self) -> None:
+        self.phases: list[str] = []
+        self.kinds: list[str] = []
+        self.on_event: Callable[[str], None] = lambda kind: None
+
+    def status(self, status: FlightStatus) -> None:
+        if status.phase not in self.phases:
+            self.phases.append(status.phase)
+
+    def event(self, kind: str, text: str, level: str) -> None:
+        self.kinds.append(kind)
+        self.on_event(kind)
+
+
+class Rehearsal:
+    """One flight of the small mission, its parts open to what a test does to them."""
+
+    def __init__(self, tmp_path: Path, start: StartMockVehicle) -> None:
+        self.path = tmp_path / "small.yaml"
+        self.path.write_text(MISSION)
+        self.out = tmp_path / "run"
+        self.audience = Audience()
+        self.interrupts = Interrupts()
+        self.planner: Any = Lawnmower()
+        self._start = start
+
+    def fly(self, *options: str) -> FlightResult:
+        return asyncio.run(self._fly(options))
+
+    async def _fly(self, options: tuple[str, ...]) -> FlightResult:
+        mission = load_mission(self.path).mission
+        vehicle = self._start(self.path, "--speed-up", "20", *options)
+        recorder = RunRecorder.create(
+            mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out
+        )
+        self.recorder = recorder
+        view = FlightView(
+            recorder.folder.rrd_path,
+            title="small",
+            targets={"Bella": "cow"},
+            camera=mission.camera.model,
+            side_m=100.0,
+        )
+        async with asyncio.timeout(90):
+            with recorder, view:
+                async with MavsdkLink(vehicle.url, link_loss_timeout_s=2.0) as link:
+                    return await fly(
+                        mission,
+                        link=link,
+                        camera=SimulatedCamera(vehicle.camera_url, timeout_s=1.5),
+                        planner=self.planner,
+                        priors_au=np.array([[0.4, 0.6]]),
+                        recorder=recorder,
+                        view=view,
+                        interrupts=self.interrupts,
+                        audience=self.audience,
+                    )
+
+
+@pytest.fixture
+def rehearsal(tmp_path: Path, mock_vehicle: StartMockVehicle) -> Rehearsal:
+    return Rehearsal(tmp_path, mock_vehicle)
+
+
+class Stub:
+    """A planner whose third answer is `answer()`."""
+
+    name = "stub"
+
+    def __init__(self, answer: Callable[[], Waypoint]) -> None:
+        self._answer = answer
+        self._asked = 0
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        self._asked = 0
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        self._asked += 1
+        if self._asked == 3:
+            return self._answer()
+        return Waypoint(position_au=np.array([0.5, 0.6 if self._asked % 2 else 0.4]))
+
+
+def _fails() -> Waypoint:
+    raise IndexError("beyond the roadmap")
+
+
+def _hangs() -> Waypoint:
+    threading.Event().wait()
+    raise AssertionError
+
+
+def _gives_no_place() -> Waypoint:
+    return Waypoint(position_au=np.array([np.nan, 0.5]))
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (_fails, "IndexError"),
+        (_hangs, "no waypoint from planner 'stub'"),
+        (_gives_no_place, "no place"),
+    ],
+)
+def test_a_bad_planner_brings_the_drone_home(
+    rehearsal: Rehearsal, answer: Callable[[], Waypoint], words: str
+):
+    rehearsal.planner = Stub(answer)
+    result = rehearsal.fly()
+    assert isinstance(result.error, PlannerError)
+    assert words in str(result.error)
+    assert result.outcome == "failed"
+    assert result.is_landed
+    assert result.landing_error_m is not None
+    assert result.landing_error_m < 2.0
+    assert "returning" in rehearsal.audience.phases
+
+
+def test_a_dead_camera_brings_the_drone_home(rehearsal: Rehearsal):
+    result = rehearsal.fly("--fault", "camera@30")
+    assert isinstance(result.error, CameraError)
+    assert result.is_landed
+
+
+def test_a_low_battery_brings_the_drone_home(rehearsal: Rehearsal):
+    result = rehearsal.fly("--fault", "battery=0.24@40")
+    assert result.outcome == "battery low"
+    assert result.error is None
+    assert result.is_landed
+
+
+def test_a_lost_link_is_waited_for(rehearsal: Rehearsal):
+    """The autopilot's own failsafe flies home meanwhile; the record is complete."""
+    result = rehearsal.fly("--fault", "silence@40+60")
+    assert isinstance(result.error, LinkLost)
+    assert result.is_landed
+    assert result.outcome == "failed"
+
+
+def test_a_full_disk_brings_the_drone_home(rehearsal: Rehearsal, monkeypatch: pytest.MonkeyPatch):
+    def no_space(*_: object, **__: object) -> None:
+        raise RecordError("cannot write observations.jsonl: no space left on device")
+
+    monkeypatch.setattr(RunRecorder, "observation", no_space)
+    result = rehearsal.fly()
+    assert isinstance(result.error, RecordError)
+    assert result.is_landed
+
+
+def test_the_pilot_takes_over_and_gives_back(rehearsal: Rehearsal):
+    """POSCTL ends our control; OFFBOARD, chosen at another station, gives it back."""
+    port = free_udp_port()
+    station = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=250)
+
+    def choose_offboard() -> None:
+        """Ask until it is so: setpoints must flow before it is accepted."""
+        for _ in range(100):
+            heartbeat = station.wait_heartbeat(timeout=1)
+            if heartbeat is not None and heartbeat.custom_mode == OFFBOARD:
+                return
+            station.mav.command_long_send(1, 1, 176, 0, 1, 6, 0, 0, 0, 0, 0)
+
+    pilot = threading.Thread(target=choose_offboard)
+
+    def when_taken(kind: str) -> None:
+        if kind == "control taken":
+            while station.recv_msg() is not None:
+                pass  # heartbeats from before
+            pilot.start()
+
+    rehearsal.audience.on_event = when_taken
+    try:
+        result = rehearsal.fly("--fault", "pilot@40", "--mavlink-out", f"127.0.0.1:{port}")
+    finally:
+        pilot.join()
+        station.close()
+    kinds = rehearsal.audience.kinds
+    assert kinds.index("control taken") < kinds.index("control given back")
+    assert result.outcome == "completed"
+    assert result.is_landed
+
+
+def test_nothing_is_commanded_while_the_pilot_flies(rehearsal: Rehearsal):
+    def give_up(kind: str) -> None:
+        if kind == "control taken":
+            rehearsal.interrupts.request()
+            rehearsal.interrupts.request()
+
+    rehearsal.audience.on_event = give_up
+    result = rehearsal.fly("--fault", "pilot@40")
+    assert result.outcome == "pilot"
+    assert not result.is_landed
+    assert "homecoming" not in rehearsal.audience.kinds
+
+
+def test_an_interrupt_before_take_off_flies_nothing(rehearsal: Rehearsal):
+    rehearsal.interrupts.request()
+    result = rehearsal.fly()
+    assert result.outcome == "interrupted"
+    assert "armed" not in rehearsal.audience.kinds
+
+
+def test_the_pilot_wins_during_take_off_too(rehearsal: Rehearsal):
+    def give_up(kind: str) -> None:
+        if kind == "control taken":
+            rehearsal.interrupts.request()
+            rehearsal.interrupts.request()
+
+    rehearsal.audience.on_event = give_up
+    result = rehearsal.fly("--fault", "pilot@5")
+    assert result.outcome == "pilot"
+    assert "airborne" not in rehearsal.audience.kinds
+    assert "homecoming" not in rehearsal.audience.kinds
