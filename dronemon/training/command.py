@@ -117,10 +117,11 @@ def train_command(
     if "WORLD_SIZE" in os.environ:
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    with _Display(Console()) as display:
+    console = Console(quiet=os.environ.get("RANK", "0") != "0")
+    with _Display(console) as display:
         best = train(plan, command=command, listen=display)
     if best.exists():
-        Console().print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
+        console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
 
 
 class _Display:

@@ -76,9 +76,9 @@ class ExpertConfig:
     taught_share: float = 0.2
     greedy_share: float = 0.5
     decisions: int = 256
-    updates: int = 48
+    updates: int = 128
     minibatch_episodes: int = 2
-    learning_rate: float = 5e-4
+    learning_rate: float = 7e-4
     final_learning_rate: float = 2e-5
     warmup_updates: int = 50
     max_gradient: float = 1.0

@@ -104,9 +104,9 @@ class Ppo:
         for group in self._optimizer.param_groups:
             decays = self._num_iterations // config.decay_iterations
             group["lr"] = config.learning_rate * config.decay**decays
-        rollout = self._play()
+        rollout = self.play()
         played = time.perf_counter()
-        metrics = self._learn(rollout)
+        metrics = self.learn(rollout)
         self._num_iterations += 1
         learned = time.perf_counter()
         count = rollout.actions.numel() * self._peers.size
@@ -121,7 +121,7 @@ class Ppo:
             "decisions_per_s": count / (learned - began),
         }
 
-    def _play(self) -> Rollout:
+    def play(self) -> Rollout:
         """Play the share of the iteration's episodes that falls to this process."""
         config = self.config
         # All randomness follows from seed and iteration, so a resumed run plays the same episodes.
@@ -154,7 +154,7 @@ class Ppo:
             choose=sampled(own),
         )
 
-    def _learn(self, rollout: Rollout) -> dict[str, float]:
+    def learn(self, rollout: Rollout) -> dict[str, float]:
         """Several passes over the episodes, a few of them at a time."""
         config = self.config
         rewards = scaled_rewards(rollout, config)

@@ -151,22 +151,29 @@ def train(plan: Plan, *, command: str, listen: Listener) -> Path:
         recipe = _recipe(plan, network, device, peers)
         run = _resume(plan, network, recipe)
         best = plan.out / "best.pt"
-        while run.elapsed_s < 60.0 * plan.minutes:
+        budget_s = 60.0 * plan.minutes
+        while run.elapsed_s < budget_s:
             began = time.monotonic()
-            metrics = peers.agree(recipe.iterate(run.elapsed_s / (60.0 * plan.minutes)), device)
+            metrics = peers.agree(recipe.iterate(run.elapsed_s / budget_s), device)
             run.iteration += 1
-            run.elapsed_s += time.monotonic() - began
+            _spend(run, began, peers, device)
             is_due = run.elapsed_s - run.validated_s >= 60.0 * plan.validation_minutes
-            if is_due or run.elapsed_s >= 60.0 * plan.minutes:
+            if is_due or run.elapsed_s >= budget_s:
                 began = time.monotonic()
-                metrics |= _measure(plan, network, device)
-                run.elapsed_s += time.monotonic() - began
+                metrics |= _measure(plan, network, device) if peers.is_first else {}
+                _spend(run, began, peers, device)
                 run.validated_s = run.elapsed_s
             row = {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
             if peers.is_first:
                 _record(plan, network, recipe, run, row, command)
-                listen(run.elapsed_s / (60.0 * plan.minutes), row)
+                listen(run.elapsed_s / budget_s, row)
         return best
+
+
+def _spend(run: _Run, began_s: float, peers: Peers, device: torch.device) -> None:
+    """Count the time since `began_s`; all processes agree on it, so that all stop together."""
+    spent = {"s": time.monotonic() - began_s}
+    run.elapsed_s += peers.agree(spent, device)["s"]
 
 
 def _first_weights(plan: Plan) -> PolicyNetwork:

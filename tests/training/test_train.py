@@ -79,14 +79,14 @@ def run(plan: Plan, iterations: int) -> None:
 @pytest.mark.parametrize("recipe", ["paper", "expert"])
 def test_a_resumed_run_equals_one_that_was_never_interrupted(recipe: str, tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    run(make_plan(whole, recipe=recipe), 3)
+    run(make_plan(whole, recipe=recipe), 2)
     run(make_plan(parts, recipe=recipe), 1)
-    run(make_plan(parts, recipe=recipe), 3)
+    run(make_plan(parts, recipe=recipe), 2)
     expected, found = (read_tensors(folder / "state.pt") for folder in (whole, parts))
     for name, value in expected["weights"].items():
         torch.testing.assert_close(found["weights"][name], value, rtol=0.0, atol=0.0)
     lines = (parts / "metrics.jsonl").read_text().splitlines()
-    assert [json.loads(line)["iteration"] for line in lines] == [1, 2, 3]
+    assert [json.loads(line)["iteration"] for line in lines] == [1, 2]
 
 
 def test_the_expert_ends_with_ppo(tmp_path: Path) -> None:
