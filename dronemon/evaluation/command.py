@@ -30,7 +30,9 @@ def evaluate_command(
     out: Annotated[
         Path,
         typer.Option(
-            help="Folder for results, tables and figures; a run there goes on.", show_default=False
+            help="Folder for results, tables and figures. A run there goes on; "
+            "take another folder after changing code.",
+            show_default=False,
         ),
     ],
     planner: Annotated[
