@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 ROOT = Path(__file__).resolve().parents[1]
 START_TIMEOUT_S = 60.0
 END_TIMEOUT_S = 10.0
+torch.set_num_threads(1)  # a second thread is ruinous for small matrices on a busy machine
 
 
 def free_udp_port() -> int:
