@@ -4,7 +4,10 @@ A target that is not found where it was thought to be is skipped until its turn 
 planners differ only in where they think the targets are: where each was last seen, where the
 belief of it is highest, or where it truly will be, as a bound on the others.
 
-Source: paper, section V-A, after Yu et al. (2017).
+Source: paper, section V-A, after Yu et al. (2017). The paper leaves open what a sight does to the
+leg being flown. Here the leg is flown to its end; leaving a target once it is seen, or turning
+towards it, moves Unc by less than 0.01 in most cells, and the observation counts away from the
+paper's.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from dronemon.planner.lawnmower import Sweep, sweep_length_au, sweep_track
 from dronemon.planner.motion import orbit, step_towards, until_measurement_au
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
 from dronemon.planner.tour import shortest_loop
-from dronemon.types import BoolArray, FloatArray, IntArray
+from dronemon.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from dronemon.roadmap import Roadmap
@@ -51,18 +54,14 @@ class Whereabouts(Protocol):
 class TspLoop:
     """Visits each target's supposed place in the order of a shortest loop, round and round.
 
-    The loop is planned anew whenever a target was seen or visited, and flown on in the same sense.
-    A target counts as visited once it is seen (`leaves_on_sight`) or its place is reached.
-    While some target's place is unknown, or before the first sweep of a mission that does not
-    know how many targets there are, the lawnmower's lanes are flown instead.
+    A leg is flown to its end; there the loop is planned anew from what was seen on the way, and
+    flown on in the same sense. While some target's place is unknown, or before the first sweep of a
+    mission that does not know how many targets there are, the lawnmower's lanes are flown instead.
     """
 
-    def __init__(
-        self, name: str, whereabouts: Whereabouts, *, leaves_on_sight: bool = True
-    ) -> None:
+    def __init__(self, name: str, whereabouts: Whereabouts) -> None:
         self.name = name
         self._whereabouts = whereabouts
-        self._leaves_on_sight = leaves_on_sight
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the loop."""
@@ -73,42 +72,39 @@ class TspLoop:
         self._goal = 0
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
-        """Step towards the goal, as far as the next measurement, which may change the loop."""
+        """Give the place of the next target in the loop."""
         self._whereabouts.take(snapshot)
         places_au = self._whereabouts.at(snapshot.time_au)  # (N, 2)
-        here_au, step_au = snapshot.position_au, until_measurement_au(snapshot.time_au)
+        here_au = snapshot.position_au
         if (
             not len(places_au)
             or np.isnan(places_au).any()
             or snapshot.time_au < self._sweep_until_au
         ):
+            # No further than the next measurement, which may find the last one.
             corner_au = self._sweep.next_corner(here_au)
+            step_au = until_measurement_au(snapshot.time_au)
             return Waypoint(position_au=step_towards(here_au, corner_au, step_au))
-        was_seen = _were_seen(snapshot, len(places_au))
-        if was_seen.any() or len(self._loop) != len(places_au):
-            self._plan(places_au, here_au)
-        if self._leaves_on_sight and was_seen[self._goal]:
-            self._goal = _successor(self._loop, self._goal)
+        self._plan(places_au, here_au)
         for _ in places_au:
             meeting_au = self._meeting_point(snapshot)
             if np.linalg.norm(meeting_au - here_au) > REACHED_AU:
                 break
-            self._plan(places_au, here_au)
             self._goal = _successor(self._loop, self._goal)
         else:  # all of them are here
             meeting_au = orbit(here_au, meeting_au)
         return Waypoint(
-            position_au=step_towards(here_au, meeting_au, step_au),
-            details={"goal": self._goal, "loop": self._loop.tolist()},
+            position_au=meeting_au, details={"goal": self._goal, "loop": self._loop.tolist()}
         )
 
     def _plan(self, places_au: FloatArray, here_au: FloatArray) -> None:
-        """Find the shortest loop; a first one begins with the nearest target."""
+        """Find the shortest loop and go on in it; a first one begins with the nearest target."""
         loop = shortest_loop(places_au)
         if len(self._loop) == len(loop):
             backwards = loop[::-1]
             if _shared_steps(self._loop, backwards) > _shared_steps(self._loop, loop):
                 loop = backwards
+            self._goal = _successor(loop, self._goal)
         else:
             self._goal = int(np.linalg.norm(places_au - here_au, axis=-1).argmin())
         self._loop = loop
@@ -121,14 +117,6 @@ class TspLoop:
             distance_au = float(np.linalg.norm(meeting_au - snapshot.position_au))
             arrival_au = snapshot.time_au + distance_au
         return meeting_au
-
-
-def _were_seen(snapshot: Snapshot, num_targets: int) -> BoolArray:
-    """Which targets any of the new measurements saw. -> (N,)."""
-    seen = np.zeros(num_targets, dtype=np.bool_)
-    for measurement in snapshot.measurements:
-        seen[: len(measurement.seen)] |= measurement.seen
-    return seen
 
 
 def _successor(loop: IntArray, target: int) -> int:
@@ -245,7 +233,7 @@ class ClairvoyantTspLoop:
 
     def __init__(self) -> None:
         self._foreseen = Foreseen()
-        self._loop = TspLoop(self.name, self._foreseen, leaves_on_sight=False)
+        self._loop = TspLoop(self.name, self._foreseen)
 
     def foresee(self, targets_at: TargetsAt) -> None:
         """Take the truth of the next mission."""

@@ -77,17 +77,15 @@ def test_loop_round_a_circle_is_the_circle(count: int) -> None:
     )
 
 
-def test_goal_is_left_once_seen_and_skipped_where_not_found() -> None:
+def test_legs_are_flown_to_the_last_seen_place_and_on_from_there_found_or_not() -> None:
     planner = TspLoop("tsp", LastSeen())
-    priors_au = np.array([[0.1, 0.5], [0.9, 0.5]])
-    planner.reset(briefing(priors_au), ROADMAP)
-    assert planner.next_waypoint(snapshot(0.0, [0.4, 0.5])).details["goal"] == 0
-    seen = planner.next_waypoint(snapshot(0.1, [0.3, 0.5], sight(0.1, {0: (0.2, 0.5)}, 2)))
-    assert seen.details["goal"] == 1
-    np.testing.assert_allclose(seen.position_au, [0.4, 0.5])
-    reached = planner.next_waypoint(snapshot(0.7, [0.9, 0.5], sight(0.7, {}, 2)))
-    assert reached.details["goal"] == 0
-    np.testing.assert_allclose(reached.position_au, [0.8, 0.5])  # towards (0.2, 0.5)
+    planner.reset(briefing(np.array([[0.1, 0.5], [0.9, 0.5]])), ROADMAP)
+    first = planner.next_waypoint(snapshot(0.0, [0.4, 0.5]))
+    np.testing.assert_allclose(first.position_au, [0.1, 0.5])
+    seen = planner.next_waypoint(snapshot(0.3, [0.1, 0.5], sight(0.3, {0: (0.15, 0.55)}, 2)))
+    np.testing.assert_allclose(seen.position_au, [0.9, 0.5])
+    missed = planner.next_waypoint(snapshot(1.1, [0.9, 0.5], sight(1.1, {}, 2)))
+    np.testing.assert_allclose(missed.position_au, [0.15, 0.55])
 
 
 def test_loop_is_flown_on_in_the_same_sense() -> None:
