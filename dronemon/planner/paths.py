@@ -58,7 +58,6 @@ class Tables(NamedTuple):
     worth: Float32Array
     known: Float32Array
     miss_cost: float
-    miss_floor: float
     discount: Float32Array
     probe_au: float
 
@@ -121,7 +120,6 @@ def make_tables(
     sight_gain: float,
     forget_steps: float,
     miss_cost: float,
-    miss_floor: float,
 ) -> Tables:
     """Build the tables for a believed speed of the targets; names as in `SearchSettings`."""
     age_au = np.arange(NUM_AGES) / AGES_PER_STEP * MEASUREMENT_INTERVAL_AU
@@ -144,7 +142,6 @@ def make_tables(
             sight_gain * forget_steps * (1.0 - np.exp(-np.arange(OLDEST + 1) / forget_steps))
         ).astype(np.float32),
         miss_cost=miss_cost,
-        miss_floor=miss_floor,
         discount=(discount ** np.arange(num_steps)).astype(np.float32),
         probe_au=probe_au,
     )
@@ -194,7 +191,7 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
     sight[:] = scene.sight_age
     rho = np.float32(tables.probe_au)
     scale = np.float32(_REACH_BINS / _REACH_AU**2)
-    miss_cost, miss_floor = np.float32(tables.miss_cost), np.float32(tables.miss_floor)
+    miss_cost = np.float32(tables.miss_cost)
     total = 0.0
     for k in range(path.shape[0]):
         passed = k + 1
@@ -217,7 +214,7 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
                 gain += tables.known[min(sight[p] + passed, OLDEST)]
                 sight[p] = -passed
             else:
-                gain -= miss_cost * max(math.exp(np.float32(-50.0) * squared[p]) - miss_floor, 0.0)
+                gain -= miss_cost * math.exp(np.float32(-50.0) * squared[p])
                 dx, dy = scene.x[k, p] - ax, scene.y[k, p] - ay
                 for q in range(4):
                     qx = dx + (rho if q == 0 else (-rho if q == 1 else np.float32(0.0)))

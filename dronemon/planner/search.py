@@ -54,14 +54,12 @@ class SearchSettings:
     """Share of a target's speed at which it leaves the place of a measurement behind."""
     probe_au: float = 0.065
     """Distance of the four probes around a target; the mean over its area is about that at it."""
-    sight_gain: float = 1.2
+    sight_gain: float = 2.0
     """Worth of having seen a target, for each measurement that the knowledge lasts."""
     forget_steps: float = 25.0
     """Measurements in which that knowledge fades to 1/e."""
-    miss_cost: float = 0.9
+    miss_cost: float = 0.8
     """Cost of a miss at a target, falling off as the belief's peak does."""
-    miss_floor: float = 0.0
-    """Height of the peak, of 1, at which a miss costs nothing any more."""
     guided_share: float = 0.7
     """Paths whose goals are drawn by urgency and nearness, rather than at random."""
     greed: float = 6.0
@@ -106,7 +104,6 @@ class SearchSettings:
             sight_gain=self.sight_gain,
             forget_steps=self.forget_steps,
             miss_cost=self.miss_cost,
-            miss_floor=self.miss_floor,
         )
 
 
