@@ -60,7 +60,7 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
 def fly_task(task: Task) -> Episode:
     """Fly one episode with the planner that this process keeps for it."""
     instance = Instance.draw(task.seed, task.cell.num_targets)
-    return fly(_planner(task.planner), instance, task.conditions)
+    return fly(_planner(task.planner, task.settings), instance, task.conditions)
 
 
 def _draw(results: Sequence[Result], options: Options) -> None:
@@ -98,8 +98,8 @@ def _episode_path(task: Task, options: Options) -> Path | None:
 
 
 @cache
-def _planner(spec: PlannerSpec) -> Planner:
-    """One planner of each kind serves all episodes of a process."""
+def _planner(spec: PlannerSpec, settings: str) -> Planner:
+    """One planner serves all episodes of a process; `settings` changes with its weights."""
     return spec.create()
 
 
