@@ -14,6 +14,16 @@ and results go through (d, F) products of the weights, and no target gets a feat
 
 Only the neighbourhood is decoded. The decoder reads the agent's node and its neighbours, so only
 these query the spatial encoder.
+
+In the paper   here
+h^c            `place` in TargetEncoder
+h^{g_i}        never made; W_b x_i + b_b with `TargetEncoder.belief`
+h^G            `encoded`
+h^L            `TemporalEncoder.length` of an age
+h^{TG}         `aware`, then `nodes`
+h^E            `SpatialEncoder.eigenvectors` of lambda
+h^{STG}        what `SpatialEncoder` gives, at the queried nodes
+alpha          softmax of `Verdict.logits`
 """
 
 from __future__ import annotations

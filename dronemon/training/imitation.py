@@ -50,6 +50,8 @@ from dronemon.training.ppo import (
 # Differs from STAMP: what is rewarded, and targets as many and as fast as Table I has them.
 FINISH = PpoConfig(
     objective="unc",
+    reward_scale=0.5,  # returns of order one, so that the value does not drown the imitation
+    decision_cost=0.0,
     episodes_per_iteration=16,
     learning_rate=3e-5,
     curriculum_episodes=0,

@@ -58,6 +58,8 @@ def join_peers(device: torch.device) -> Iterator[Peers]:
     if size == 1:
         yield Peers()
         return
+    if device.type == "cuda":
+        torch.cuda.set_device(device)
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Peers(rank=dist.get_rank(), size=size)

@@ -64,8 +64,6 @@ class PpoConfig:
 class Ppo:
     """The recipe `paper`: reinforcement learning from scratch, or from given weights."""
 
-    name = "paper"
-
     def __init__(
         self,
         network: PolicyNetwork,
