@@ -1,6 +1,7 @@
 """Where each target may be: Gaussian processes, what they are conditioned on, and their scores."""
 
-from dronemon.belief.gp import Matern32, Posterior, fit
+from dronemon.belief.gp import Posterior, fit
+from dronemon.belief.kernel import Matern32
 from dronemon.belief.metrics import EpisodeMetrics, Prior, Scores, episode_metrics
 from dronemon.belief.store import Belief, ObservationStore
 

@@ -1,60 +1,47 @@
 """Exact Gaussian-process posteriors of presence fields, one per target, in batches.
 
-Source: Rasmussen & Williams (2006), algorithm 2.1; kernel and length scales: paper, section III-C.
+Targets of an episode that were not seen have the agent's position in common. What depends on
+points that all targets have in common is found once: the covariance is ordered common points
+first, and its factor is
+
+    [ C   0 ]      C C' = K(common, common)      A = C^-1 K(common, own)
+    [ A'  D ]      D D' = K(own, own) - A' A
+
+Source: Rasmussen & Williams (2006), algorithm 2.1.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from dronemon.belief.kernel import Matern32
 from dronemon.errors import BeliefError
 
 JITTER = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Added to the covariance's diagonal so that its Cholesky factor exists in that precision."""
 _FAR_AU = 1e5
 """Padding points lie this far away, and from each other, where the covariance is exactly zero."""
-_BLOCK = {"cpu": 1 << 18, "cuda": 1 << 26}
-"""Entries of cross-covariance worked on at a time: what a core's cache, or the device, holds."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Matern32:
-    """Unit-variance Matérn-3/2 kernel with one length scale per axis (x, y, t)."""
-
-    length_scales_au: tuple[float, float, float] = (0.1, 0.1, 3.0)
-
-    def __call__(self, a: Tensor, b: Tensor) -> Tensor:
-        """Covariance of two sets of points.
-
-        a: (..., n, 3) au; b: (..., m, 3) au -> (..., n, m) in [0, 1].
-        """
-        scale = math.sqrt(3.0) / a.new_tensor(self.length_scales_au)
-        # The matrix-product form of the distance would lose half the digits of nearby points.
-        r = torch.cdist(a * scale, b * scale, compute_mode="donot_use_mm_for_euclid_dist")
-        decay = r.neg_().exp()
-        return decay.addcmul_(decay, r, value=-1.0)  # (1 + r) exp(-r)
+_GROUP_SIZE = {"cpu": 8, "cuda": 512}
+"""Episodes worked on together: what a core's cache, or the device, holds."""
+_QUERY_SIZE = 512
+"""Query points worked on together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
     """Fitted processes of N targets, of zero prior mean and unit prior variance, in batches.
 
-    points:   (..., N, n, 3) au, padding moved far away
-    shared:   (..., n, 3)    au, the point of each column that targets have in common
-    cholesky: (..., N, n, n) lower factor of the points' covariance
-    weights:  (..., N, n)    covariance^-1 values; zero for padding
+    shape: (..., N)
     """
 
     kernel: Matern32
-    points: Tensor
-    shared: Tensor
-    cholesky: Tensor
-    weights: Tensor
+    shape: tuple[int, ...]
+    groups: tuple[Group, ...]
 
     def predict(self, query: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean and standard deviation.
@@ -64,78 +51,108 @@ class Posterior:
 
         Source: paper, equation 2.
         """
-        return self._in_blocks(query, with_mean=True, with_std=True)
+        return self._evaluate(query, with_mean=True, with_std=True)
 
     def mean(self, query: Tensor) -> Tensor:
         """Posterior mean alone. query: as for `predict` -> (..., N, m)."""
-        return self._in_blocks(query, with_mean=True, with_std=False)[0]
+        return self._evaluate(query, with_mean=True, with_std=False)[0]
 
     def std(self, query: Tensor) -> Tensor:
         """Posterior standard deviation alone. query: as for `predict` -> (..., N, m) in [0, 1]."""
-        return self._in_blocks(query, with_mean=False, with_std=True)[1]
+        return self._evaluate(query, with_mean=False, with_std=True)[1]
 
-    def _in_blocks(
-        self, query: Tensor, *, with_mean: bool, with_std: bool
-    ) -> tuple[Tensor, Tensor]:
-        """Predict a few batch elements at a time, so that their cross-covariance stays in cache."""
+    def _evaluate(self, query: Tensor, *, with_mean: bool, with_std: bool) -> tuple[Tensor, Tensor]:
+        """Predict a few episodes and points at a time, so that all stays in cache."""
         query = query[None] if query.dim() == 2 else query
-        batch = np.broadcast_shapes(self.points.shape[:-3], query.shape[:-3])
-        size = math.prod(batch)
-        points, shared, cholesky, weights, query = (
-            x.expand(*batch, *x.shape[-dims:]).reshape(size, *x.shape[-dims:])
-            for x, dims in zip(
-                (self.points, self.shared, self.cholesky, self.weights, query),
-                (3, 2, 3, 2, 3),
-                strict=True,
-            )
-        )
-        num_targets, n = weights.shape[1:]
-        m, is_common = query.shape[-2], query.shape[1] < num_targets
+        *batch, num_targets = self.shape
+        size, m = math.prod(batch), query.shape[-2]
+        query = query.expand(*batch, *query.shape[-3:]).reshape(size, *query.shape[-3:])
         mean = query.new_empty((size, num_targets, m if with_mean else 0))
         std = query.new_empty((size, num_targets, m if with_std else 0))
-        step = max(1, _BLOCK[query.device.type] // max(1, num_targets * n * m))
-        for start in range(0, size, step):
-            block = slice(start, start + step)
-            if is_common and not with_std:
-                mean[block] = self._common_mean(
-                    points[block], shared[block], weights[block], query[block, 0]
-                )
-                continue
-            if is_common:
-                cross = self._common_cross(points[block], shared[block], query[block, 0])
-            else:
-                cross = self.kernel(points[block], query[block])  # (block, N, n, m)
-            if with_mean:
-                mean[block] = (weights[block, :, None] @ cross)[:, :, 0]
-            if with_std:
-                explained = torch.linalg.solve_triangular(cholesky[block], cross, upper=False)
-                variance = 1.0 - explained.square_().sum(-2)
-                std[block] = variance.clamp_min_(0.0).sqrt_()
+        for group in self.groups:
+            for start in range(0, m, _QUERY_SIZE):
+                some = slice(start, start + _QUERY_SIZE)
+                cross = group.cross(self.kernel, query[group.episodes, :, some])
+                if with_mean:
+                    mean[group.episodes, :, some] = group.mean(cross)
+                if with_std:
+                    std[group.episodes, :, some] = group.std(cross)
         return mean.reshape(*batch, *mean.shape[1:]), std.reshape(*batch, *std.shape[1:])
 
-    def _common_cross(self, points: Tensor, shared: Tensor, query: Tensor) -> Tensor:
-        """Covariance of all targets' points with a common query; a shared point's is found once.
 
-        points: (b, N, n, 3); shared: (b, n, 3); query: (b, m, 3) -> (b, N, n, m).
+class Cross(NamedTuple):
+    """Covariance of a group's points with a query.
+
+    shared: (b, 1 or N, n, m) of the shared points; own: (k, m) of those that are a target's own
+    """
+
+    shared: Tensor
+    own: Tensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """b episodes of which all have c points common to their N targets, and n - c others.
+
+    episodes:    (b,)                 which ones of the batch, laid flat
+    shared:      (b, n, 3)            au, the common points, then points of most targets
+    own:         three (k,)           episode, target and column where a point is not the shared one
+    own_points:  (k, 3)               au
+    is_believed: (b, N)               false where there are no observations
+    common_root: (b, 1, c, c)         C^-1
+    own_root:    (b, N, n - c, n - c) D^-1
+    lean:        (b, N, n - c, c)     D^-1 A'
+    weights:     (b, N, n)            covariance^-1 values, zero where a point is not the shared one
+    own_weights: (k,)                 the others
+    """
+
+    episodes: Tensor
+    shared: Tensor
+    own: tuple[Tensor, ...]
+    own_points: Tensor
+    is_believed: Tensor
+    common_root: Tensor
+    own_root: Tensor
+    lean: Tensor
+    weights: Tensor
+    own_weights: Tensor
+
+    def cross(self, kernel: Matern32, query: Tensor) -> Cross:
+        """Covariance with a query. query: (b, 1 or N, m, 3) au."""
+        episode, target, _ = self.own
+        at = query.expand(-1, self.is_believed.shape[1], -1, -1)[episode, target]  # (k, m, 3)
+        own = kernel(self.own_points[:, None], at)[:, 0]
+        return Cross(kernel(self.shared[:, None], query), own)
+
+    def mean(self, cross: Cross) -> Tensor:
+        """Posterior mean. -> (b, N, m)."""
+        mean = self._for_each_target(self.weights[:, :, None], cross.shared)[:, :, 0]
+        own = self.own_weights[:, None] * cross.own
+        return mean.index_put_(self.own[:2], own, accumulate=True)
+
+    def std(self, cross: Cross) -> Tensor:
+        """Posterior standard deviation. -> (b, N, m)."""
+        num_targets, c = self.is_believed.shape[1], self.common_root.shape[-1]
+        common, own = cross.shared.tensor_split([c], dim=-2)
+        own = own.expand(-1, num_targets, -1, -1).clone()  # (b, N, n - c, m)
+        episode, target, column = self.own
+        own[episode, target, column - c] = cross.own
+        explained = self.common_root @ common  # (b, 1 or N, c, m)
+        own = (self.own_root @ own).sub_(self._for_each_target(self.lean, explained))
+        variance = 1.0 - explained.square_().sum(-2) - own.square_().sum(-2)
+        variance.masked_fill_(~self.is_believed[..., None], 1.0)
+        return variance.clamp_min_(0.0).sqrt_()
+
+    def _for_each_target(self, matrices: Tensor, columns: Tensor) -> Tensor:
+        """One product per target, or a single one if the columns are the same for all.
+
+        matrices: (b, N, r, c); columns: (b, 1 or N, c, m) -> (b, N, r, m).
         """
-        cross = self.kernel(shared, query)[:, None].repeat(1, points.shape[1], 1, 1)
-        own = (points != shared[:, None]).any(dim=-1).nonzero(as_tuple=True)
-        cross[own] = self.kernel(points[own][:, None], query[own[0]])[:, 0]
-        return cross
-
-    def _common_mean(
-        self, points: Tensor, shared: Tensor, weights: Tensor, query: Tensor
-    ) -> Tensor:
-        """Posterior means at a common query, without every target's own cross-covariance.
-
-        points, shared, query: as above; weights: (b, N, n) -> (b, N, m).
-        """
-        is_own = (points != shared[:, None]).any(dim=-1)
-        mean = weights.masked_fill(is_own, 0.0) @ self.kernel(shared, query)
-        episode, target, index = (is_own & (weights != 0.0)).nonzero(as_tuple=True)
-        own = (episode, target, index)
-        cross = self.kernel(points[own][:, None], query[episode])[:, 0]
-        return mean.index_put_((episode, target), weights[own][:, None] * cross, accumulate=True)
+        b, num_targets, r, c = matrices.shape
+        if columns.shape[1] == num_targets:
+            return matrices @ columns
+        product = torch.bmm(matrices.reshape(b, num_targets * r, c), columns[:, 0])
+        return product.view(b, num_targets, r, columns.shape[-1])
 
 
 def fit(
@@ -155,38 +172,118 @@ def fit(
 
     Raises BeliefError if a covariance is not positive definite.
     """
-    n = points.shape[-2]
+    shape = values.shape
     kernel = kernel if kernel is not None else Matern32()
     jitter = jitter if jitter is not None else JITTER[points.dtype]
-    far = _FAR_AU * torch.arange(1, n + 1, device=points.device, dtype=points.dtype)
-    points = torch.where(mask[..., None], points, far[:, None])
+    size = math.prod(shape[:-2])
+    points = points.reshape(size, *points.shape[-3:])
+    values, mask = (x.reshape(size, *shape[-2:]) for x in (values, mask))
+    is_believed = mask.any(dim=-1)
+    points, shared = _shared_points(points, values, mask)
     values = torch.where(mask, values, 0.0)
-    covariance = kernel(points, points)  # (..., N, n, n)
-    covariance.diagonal(dim1=-2, dim2=-1).add_(jitter)
-    cholesky, info = torch.linalg.cholesky_ex(covariance)
-    if bool((info != 0).any()):
+    has_own = (points != shared[:, None]).any(dim=-1).any(dim=1)  # (B, n)
+    column = has_own.to(torch.int8).argsort(dim=-1, stable=True)
+    points = points.take_along_dim(column[:, None, :, None], dim=2)
+    shared = shared.take_along_dim(column[..., None], dim=1)
+    values = values.take_along_dim(column[:, None], dim=2)
+    num_common = shape[-1] - has_own.sum(dim=-1)
+    # Alike in the number of common points, episodes of a group waste little on the fewest.
+    groups = torch.split(num_common.argsort(), _GROUP_SIZE[points.device.type])
+    fitted = [
+        _fit_group(
+            episodes,
+            points[episodes],
+            shared[episodes],
+            values[episodes],
+            is_believed[episodes],
+            num_common=int(num_common[episodes].amin()),
+            kernel=kernel,
+            jitter=jitter,
+        )
+        for episodes in groups
+    ]
+    num_failed = int(sum(is_bad.sum() for _, is_bad in fitted))
+    if num_failed:
         raise BeliefError(
-            f"{int((info != 0).sum())} of {info.numel()} covariances of {n} observations are not"
+            f"{num_failed} of {shape[:-1].numel()} covariances of {shape[-1]} observations are not"
             f" positive definite with jitter {jitter:g} in {points.dtype}; look for observations"
             " that repeat or are not finite, or use float64"
         )
-    return Posterior(
-        kernel=kernel,
-        points=points,
-        shared=_common_points(points, values, mask),
-        cholesky=cholesky,
-        weights=torch.cholesky_solve(values[..., None], cholesky)[..., 0],
-    )
+    return Posterior(kernel=kernel, shape=shape[:-1], groups=tuple(g for g, _ in fitted))
 
 
-def _common_points(points: Tensor, values: Tensor, mask: Tensor) -> Tensor:
-    """The point of one target in each column: of one that was not seen, if there is one.
+def _shared_points(points: Tensor, values: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Points with padding moved, and the point of each column that targets have in common.
 
-    Targets that one measurement did not see have the agent's position in common.
-    (..., N, n, 3), (..., N, n) twice -> (..., n, 3).
+    Padding is far away, unless a target has nothing else: it then has the shared points.
+    points: (B, N, n, 3); values, mask: (B, N, n) -> (B, N, n, 3), (B, n, 3).
     """
-    if points.shape[-3] == 0:
-        return points.new_zeros(*points.shape[:-3], *points.shape[-2:])
-    rank = torch.where(mask, values, torch.inf)
-    target = rank.argmin(dim=-2)[..., None, :, None].expand(*points.shape[:-3], 1, -1, 3)
-    return points.gather(-3, target)[..., 0, :, :]
+    far = torch.arange(1, points.shape[2] + 1, device=points.device, dtype=points.dtype)
+    far = (_FAR_AU * far)[:, None].expand(points.shape[0], -1, 3)
+    points = torch.where(mask[..., None], points, far[:, None])
+    if points.shape[1] == 0:
+        return points, far
+    # Of a target that was not seen, if there is one: the agent's place.
+    target = torch.where(mask, values, torch.inf).argmin(dim=1)
+    shared = points.take_along_dim(target[:, None, :, None], dim=1)[:, 0]
+    return torch.where(mask.any(dim=-1)[..., None, None], points, shared[:, None]), shared
+
+
+def _fit_group(
+    episodes: Tensor,
+    points: Tensor,
+    shared: Tensor,
+    values: Tensor,
+    is_believed: Tensor,
+    *,
+    num_common: int,
+    kernel: Matern32,
+    jitter: float,
+) -> tuple[Group, Tensor]:
+    """Factor the covariances of episodes, all of which have their first columns in common.
+
+    -> the group, and which factors do not exist: (b, N) bool.
+    """
+    b, num_targets, n = values.shape
+    own = points[:, :, num_common:]  # (b, N, n - c, 3)
+    common_root, common_info = _inverse_root(
+        kernel(shared[:, :num_common], shared[:, :num_common]), jitter
+    )
+    coupling = common_root @ kernel(shared[:, :num_common], own.flatten(1, 2))  # A
+    coupling = coupling.view(b, num_common, num_targets, n - num_common).permute(0, 2, 3, 1)
+    own_root, own_info = _inverse_root(kernel(own, own) - coupling @ coupling.mT, jitter)
+    lean = own_root @ coupling  # (b, N, n - c, c)
+
+    values_common, values_own = values.tensor_split([num_common], dim=-1)
+    white_common = values_common @ common_root.mT  # (b, N, c)
+    white_own = (own_root @ values_own[..., None] - lean @ white_common[..., None])[..., 0]
+    white_common = white_common - (white_own[..., None, :] @ lean)[..., 0, :]
+    is_own = (points != shared[:, None]).any(dim=-1)
+    weights = torch.cat(
+        [white_common @ common_root, (white_own[..., None, :] @ own_root)[..., 0, :]], dim=-1
+    )
+    index = is_own.nonzero(as_tuple=True)
+    group = Group(
+        episodes=episodes,
+        shared=shared,
+        own=index,
+        own_points=points[index],
+        is_believed=is_believed,
+        common_root=common_root[:, None],
+        own_root=own_root,
+        lean=lean,
+        weights=weights.masked_fill(is_own, 0.0),
+        own_weights=weights[index],
+    )
+    return group, common_info[:, None] | own_info
+
+
+def _inverse_root(covariance: Tensor, jitter: float) -> tuple[Tensor, Tensor]:
+    """Inverse of the lower Cholesky factor. (..., n, n) -> (..., n, n), (...) whether it failed.
+
+    Many queries are multiplied by it several times as fast as the factor is solved for them.
+    """
+    covariance.diagonal(dim1=-2, dim2=-1).add_(jitter)
+    factor, info = torch.linalg.cholesky_ex(covariance)
+    identity = torch.eye(factor.shape[-1], dtype=factor.dtype, device=factor.device)
+    return torch.linalg.solve_triangular(factor, identity, upper=False), info != 0

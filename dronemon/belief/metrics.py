@@ -19,7 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dronemon.belief.gp import Matern32, Posterior, fit
+from dronemon.belief.gp import Posterior, fit
+from dronemon.belief.kernel import Matern32
 from dronemon.belief.store import WINDOW_TIME_SCALES
 from dronemon.mission.schema import SENSOR_RADIUS_AU
 from dronemon.types import BoolArray, FloatArray

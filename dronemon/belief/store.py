@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dronemon.belief.gp import Matern32, Posterior, fit
+from dronemon.belief.gp import Posterior, fit
+from dronemon.belief.kernel import Matern32
 from dronemon.errors import BeliefError
 from dronemon.types import FloatArray, Measurement
 
