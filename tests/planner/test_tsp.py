@@ -77,15 +77,19 @@ def test_loop_round_a_circle_is_the_circle(count: int) -> None:
     )
 
 
-def test_legs_are_flown_to_the_last_seen_place_and_on_from_there_found_or_not() -> None:
+def test_goal_moves_with_its_target_and_is_skipped_where_it_is_not_found() -> None:
     planner = TspLoop("tsp", LastSeen())
     planner.reset(briefing(np.array([[0.1, 0.5], [0.9, 0.5]])), ROADMAP)
     first = planner.next_waypoint(snapshot(0.0, [0.4, 0.5]))
-    np.testing.assert_allclose(first.position_au, [0.1, 0.5])
-    seen = planner.next_waypoint(snapshot(0.3, [0.1, 0.5], sight(0.3, {0: (0.15, 0.55)}, 2)))
-    np.testing.assert_allclose(seen.position_au, [0.9, 0.5])
-    missed = planner.next_waypoint(snapshot(1.1, [0.9, 0.5], sight(1.1, {}, 2)))
-    np.testing.assert_allclose(missed.position_au, [0.15, 0.55])
+    np.testing.assert_allclose(first.position_au, [0.3, 0.5])
+    seen = planner.next_waypoint(snapshot(0.1, [0.3, 0.5], sight(0.1, {0: (0.3, 0.58)}, 2)))
+    np.testing.assert_allclose(seen.position_au, [0.3, 0.58])
+    visited = planner.next_waypoint(snapshot(0.18, [0.3, 0.58]))
+    assert visited.details["goal"] == 1
+    missed = planner.next_waypoint(snapshot(0.8, [0.9, 0.5], sight(0.8, {}, 2)))
+    assert missed.details["goal"] == 0
+    towards = missed.position_au - [0.9, 0.5]
+    np.testing.assert_allclose(towards / np.linalg.norm(towards), [-0.991, 0.132], atol=1e-3)
 
 
 def test_loop_is_flown_on_in_the_same_sense() -> None:
