@@ -1,8 +1,8 @@
 """The TSP loop: a shortest closed tour of where the targets are thought to be, again and again.
 
-A target that is not found where it was thought to be is skipped until its turn comes again. Three
-planners differ only in where they think the targets are: where each was last seen, where the
-belief of it is highest, or where it truly will be, as a bound on the others.
+A target that is not found where it was thought to be is skipped until its turn comes again. Four
+planners differ only in where they think a target is: where it was last seen, where it would be had
+it kept on, where the belief of it peaks, or where it truly is, as a bound on the others.
 
 Source: paper, section V-A, after Yu et al. (2017). The paper leaves open what sight of a target
 does to the leg that leads to it. Here the leg is bent to where the target is; ending it at first
