@@ -82,6 +82,7 @@ class Env:
 
     An episode that has flown its length starts anew, with the next instance of its seed, until
     all have taken `max_decisions`. One seed is one sequence of instances, in any batch.
+    `num_threads` share the beliefs' work, as `fit` has it.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class Env:
         kernel: Matern32 | None = None,
         dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
+        num_threads: int = 1,
     ) -> None:
         self._horizon_au = horizon_au
         self._max_decisions = max_decisions
@@ -102,6 +104,7 @@ class Env:
         self._kernel = kernel if kernel is not None else Matern32()
         self._dtype = dtype
         self._device = torch.device(device)
+        self._num_threads = num_threads
 
     @property
     def graphs(self) -> Graphs:
@@ -263,7 +266,9 @@ class Env:
 
     def _believe(self) -> None:
         """Condition the belief on what was measured, and judge it around the targets."""
-        self._posterior: Posterior = fit(*self.observations(), kernel=self._kernel)
+        self._posterior: Posterior = fit(
+            *self.observations(), kernel=self._kernel, num_threads=self._num_threads
+        )
         targets_au = self._targets_at(self._length_au).to(self._dtype)
         time_au = self._length_au.to(self._dtype)[:, None].expand(targets_au.shape[:-1])
         std = area_std(self._posterior, targets_au, time_au)

@@ -13,14 +13,21 @@ Source: Rasmussen & Williams (2006), algorithm 2.1.
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cache
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from dronemon.belief.kernel import Matern32
 from dronemon.errors import BeliefError
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 JITTER = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Added to the covariance's diagonal so that its Cholesky factor exists in that precision."""
@@ -42,6 +49,7 @@ class Posterior:
     kernel: Matern32
     shape: tuple[int, ...]
     groups: tuple[Group, ...]
+    num_threads: int
 
     def predict(self, query: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean and standard deviation.
@@ -69,7 +77,8 @@ class Posterior:
         query = query.expand(*batch, *query.shape[-3:]).reshape(size, *query.shape[-3:])
         mean = query.new_empty((size, num_targets, m if with_mean else 0))
         std = query.new_empty((size, num_targets, m if with_std else 0))
-        for group in self.groups:
+
+        def evaluate(group: Group) -> None:
             for start in range(0, m, _QUERY_SIZE):
                 some = slice(start, start + _QUERY_SIZE)
                 cross = group.cross(self.kernel, query[group.episodes, :, some])
@@ -77,6 +86,8 @@ class Posterior:
                     mean[group.episodes, :, some] = group.mean(cross)
                 if with_std:
                     std[group.episodes, :, some] = group.std(cross)
+
+        _in_threads(evaluate, self.groups, self.num_threads)
         return mean.reshape(*batch, *mean.shape[1:]), std.reshape(*batch, *std.shape[1:])
 
 
@@ -120,8 +131,9 @@ class Group:
     def cross(self, kernel: Matern32, query: Tensor) -> Cross:
         """Covariance with a query. query: (b, 1 or N, m, 3) au."""
         episode, target, _ = self.own
-        at = query.expand(-1, self.is_believed.shape[1], -1, -1)[episode, target]  # (k, m, 3)
-        own = kernel(self.own_points[:, None], at)[:, 0]
+        num_sets = query.shape[1]
+        index = episode if num_sets == 1 else episode * num_sets + target
+        own = kernel.each(self.own_points, query.flatten(0, 1), index)
         return Cross(kernel(self.shared[:, None], query), own)
 
     def mean(self, cross: Cross) -> Tensor:
@@ -161,6 +173,7 @@ def fit(
     mask: Tensor,
     kernel: Matern32 | None = None,
     jitter: float | None = None,
+    num_threads: int = 1,
 ) -> Posterior:
     """Condition zero-mean Gaussian processes on noiseless observations.
 
@@ -168,6 +181,8 @@ def fit(
     values: (..., N, n)    1 presence, 0 absence
     mask:   (..., N, n)    bool; false marks padding, whose points and values are ignored
     jitter: added to the diagonal; by default what the precision needs
+    num_threads: that share the episodes, here and in the posterior; each does torch's work alone
+        if torch.set_num_threads(1) was called, which many small matrices need
     -> a `Posterior` on the device and in the precision of `points`.
 
     Raises BeliefError if a covariance is not positive definite.
@@ -181,27 +196,32 @@ def fit(
     is_believed = mask.any(dim=-1)
     points, shared = _shared_points(points, values, mask)
     values = torch.where(mask, values, 0.0)
-    has_own = (points != shared[:, None]).any(dim=-1).any(dim=1)  # (B, n)
+    x, y, t = (points != shared[:, None]).unbind(dim=-1)
+    is_own = x | y | t  # (B, N, n)
+    has_own = is_own.any(dim=1)
     column = has_own.to(torch.int8).argsort(dim=-1, stable=True)
     points = points.take_along_dim(column[:, None, :, None], dim=2)
     shared = shared.take_along_dim(column[..., None], dim=1)
     values = values.take_along_dim(column[:, None], dim=2)
+    is_own = is_own.take_along_dim(column[:, None], dim=2)
     num_common = shape[-1] - has_own.sum(dim=-1)
     # Alike in the number of common points, episodes of a group waste little on the fewest.
     groups = torch.split(num_common.argsort(), _GROUP_SIZE[points.device.type])
-    fitted = [
-        _fit_group(
+
+    def fit_group(episodes: Tensor) -> tuple[Group, Tensor]:
+        return _fit_group(
             episodes,
             points[episodes],
             shared[episodes],
             values[episodes],
+            is_own[episodes],
             is_believed[episodes],
             num_common=int(num_common[episodes].amin()),
             kernel=kernel,
             jitter=jitter,
         )
-        for episodes in groups
-    ]
+
+    fitted = _in_threads(fit_group, groups, num_threads)
     num_failed = int(sum(is_bad.sum() for _, is_bad in fitted))
     if num_failed:
         raise BeliefError(
@@ -209,7 +229,27 @@ def fit(
             f" positive definite with jitter {jitter:g} in {points.dtype}; look for observations"
             " that repeat or are not finite, or use float64"
         )
-    return Posterior(kernel=kernel, shape=shape[:-1], groups=tuple(g for g, _ in fitted))
+    return Posterior(
+        kernel=kernel,
+        shape=shape[:-1],
+        groups=tuple(group for group, _ in fitted),
+        num_threads=num_threads,
+    )
+
+
+def _in_threads(
+    work: Callable[[_Item], _Result], items: Sequence[_Item], num_threads: int
+) -> list[_Result]:
+    """What comes of some work that leaves the interpreter free, in the items' order."""
+    if num_threads == 1:
+        return [work(item) for item in items]
+    return list(_pool(num_threads, os.getpid()).map(work, items))
+
+
+@cache
+def _pool(num_threads: int, process_id: int) -> ThreadPoolExecutor:
+    """Threads that keep their memory from one use to the next; a forked process has its own."""
+    return ThreadPoolExecutor(num_threads, thread_name_prefix=f"belief-{process_id}")
 
 
 def _shared_points(points: Tensor, values: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -234,6 +274,7 @@ def _fit_group(
     points: Tensor,
     shared: Tensor,
     values: Tensor,
+    is_own: Tensor,
     is_believed: Tensor,
     *,
     num_common: int,
@@ -258,7 +299,6 @@ def _fit_group(
     white_common = values_common @ common_root.mT  # (b, N, c)
     white_own = (own_root @ values_own[..., None] - lean @ white_common[..., None])[..., 0]
     white_common = white_common - (white_own[..., None, :] @ lean)[..., 0, :]
-    is_own = (points != shared[:, None]).any(dim=-1)
     weights = torch.cat(
         [white_common @ common_root, (white_own[..., None, :] @ own_root)[..., 0, :]], dim=-1
     )
