@@ -98,6 +98,26 @@ def test_order_of_targets_does_not_matter():
         torch.testing.assert_close(got, want[:, order], rtol=0, atol=1e-12)
 
 
+def test_threads_and_groups_change_nothing():
+    points, values, mask = observations(4, batch=21)
+    alone = [fit(points[b], values[b], mask[b]).predict(query(21, 1)[b]) for b in range(21)]
+    for num_threads in (1, 2):
+        together = fit(points, values, mask, num_threads=num_threads).predict(query(21, 1))
+        for k in range(2):
+            expected = torch.stack([a[k] for a in alone])
+            torch.testing.assert_close(together[k], expected, rtol=0, atol=1e-12)
+
+
+def test_target_not_believed_in_is_the_prior_and_leaves_others_alone():
+    points, values, mask = observations(4)
+    expected = fit(points[:, 1:], values[:, 1:], mask[:, 1:]).predict(query(BATCH, 1))
+    mask[:, 0] = False
+    mean, std = fit(points, values, mask).predict(query(BATCH, 1))
+    assert (mean[:, 0] == 0.0).all()
+    assert (std[:, 0] == 1.0).all()
+    torch.testing.assert_close((mean[:, 1:], std[:, 1:]), expected, rtol=0, atol=1e-12)
+
+
 def test_without_observations_belief_is_the_prior():
     points, values, mask = observations(2)
     mean, std = fit(points, values, torch.zeros_like(mask)).predict(query(BATCH, 1))
