@@ -22,7 +22,7 @@ from rich.console import Console
 
 import dronemon
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
-from dronemon.errors import DronemonError, OptionError, PolicyError
+from dronemon.errors import DronemonError, OptionError, PolicyError, VehicleError
 from dronemon.evaluation.command import evaluate_command
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission, shipped_missions
 from dronemon.mission.load import outbound_min, usable_min
@@ -54,6 +54,13 @@ MissionOption = Annotated[
     str, typer.Option("--mission", "-m", help="Mission file, or name of a shipped mission.")
 ]
 
+FollowOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Second MAVLink URL of that vehicle: simulated animals and camera follow it there."
+    ),
+]
+
 
 def main() -> None:
     """Run the command line; a DronemonError becomes one message and its exit code."""
@@ -80,12 +87,7 @@ def fly_command(
         str | None,
         typer.Option(help="MAVLink URL of a vehicle, such as udpin://127.0.0.1:14540, or `mock`."),
     ] = None,
-    follow: Annotated[
-        str | None,
-        typer.Option(
-            help="Second MAVLink URL of that vehicle: simulated animals and camera follow it there."
-        ),
-    ] = None,
+    follow: FollowOption = None,
     planner: Annotated[str | None, typer.Option(help="What chooses the waypoints.")] = None,
     horizon_au: Annotated[float | None, typer.Option(help="Patrol length in sides.")] = None,
     speed_up: Annotated[float | None, typer.Option(help="Speed of the mock, 1 to 20.")] = None,
@@ -98,19 +100,19 @@ def fly_command(
     ] = None,
 ) -> None:
     """Fly a mission: take off, patrol, come home, land. Ctrl-C returns; twice lands now."""
-    given = {
-        ("vehicle", "url"): vehicle,
-        ("vehicle", "speed_up"): speed_up,
-        ("flight", "horizon_au"): horizon_au,
-        ("planner", "kind"): planner,
-        ("simulation", "seed"): seed,
-        ("view", "live"): view,
+    given: dict[tuple[str, str], tuple[str, object]] = {
+        ("vehicle", "url"): ("--vehicle", vehicle),
+        ("vehicle", "speed_up"): ("--speed-up", speed_up),
+        ("flight", "horizon_au"): ("--horizon-au", horizon_au),
+        ("planner", "kind"): ("--planner", planner),
+        ("simulation", "seed"): ("--seed", seed),
+        ("view", "live"): ("--view", view),
     }
-    overrides: dict[tuple[str, str], object] = {k: v for k, v in given.items() if v is not None}
+    overrides = {key: option for key, option in given.items() if option[1] is not None}
     file = load_mission(find_mission(mission), overrides)
     _check_flight(file, follow)
     chosen = _create_planner(file)
-    raise typer.Exit(asyncio.run(_fly(file.mission, chosen, follow, out)))
+    raise typer.Exit(asyncio.run(_fly(file, chosen, follow, out)))
 
 
 def _check_flight(file: MissionFile, follow: str | None) -> None:
@@ -151,11 +153,12 @@ def _create_planner(file: MissionFile) -> Planner:
     return planner
 
 
-async def _fly(mission: Mission, planner: Planner, follow: str | None, out: Path | None) -> int:
+async def _fly(file: MissionFile, planner: Planner, follow: str | None, out: Path | None) -> int:
+    mission = file.mission
     loop = asyncio.get_running_loop()
     loop.set_default_executor(ThreadPoolExecutor(_WORKER_THREADS))
     interrupts = Interrupts()
-    for signal_number in (signal.SIGINT, signal.SIGTERM):
+    for signal_number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(signal_number, interrupts.request)
     names = tuple(target.name for target in mission.targets)
     recorder = RunRecorder.create(
@@ -165,7 +168,7 @@ async def _fly(mission: Mission, planner: Planner, follow: str | None, out: Path
     with recorder:
         try:
             result, truth, priors_au = await _with_everything(
-                mission, planner, follow, recorder, interrupts
+                file, planner, follow, recorder, interrupts
             )
         except BaseException as exc:
             recorder.finish("failed", {"error": str(exc) or repr(exc)})
@@ -183,18 +186,21 @@ async def _fly(mission: Mission, planner: Planner, follow: str | None, out: Path
     if result.error is not None:
         errors.print(f"error: {result.error}", style="bold red", soft_wrap=True, markup=False)
         return result.error.exit_code
+    if not result.is_landed:
+        errors.print("error: the drone is still armed, and the pilot's", style="bold red")
+        return VehicleError.exit_code
     return INTERRUPTED if result.outcome == "interrupted" else 0
 
 
 async def _with_everything(
-    mission: Mission,
+    file: MissionFile,
     planner: Planner,
     follow: str | None,
     recorder: RunRecorder,
     interrupts: Interrupts,
 ) -> tuple[FlightResult, dict[float, FloatArray], FloatArray]:
     """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
-    folder = recorder.folder
+    folder, mission = recorder.folder, file.mission
     async with contextlib.AsyncExitStack() as stack:
         sim: Simulator | None = None
         if mission.vehicle.is_mock or follow:
@@ -221,9 +227,9 @@ async def _with_everything(
         if view.url:
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
-        link = await stack.enter_async_context(_link(mission, sim, recorder))
+        link = await stack.enter_async_context(_link(mission, sim))
         result = await fly(
-            mission,
+            file,
             link=link,
             camera=_camera(mission, sim, link),
             planner=planner,
@@ -251,7 +257,7 @@ def _priors(mission: Mission, sim: Simulator | None) -> FloatArray:
     return priors_au
 
 
-def _link(mission: Mission, sim: Simulator | None, recorder: RunRecorder) -> MavsdkLink:
+def _link(mission: Mission, sim: Simulator | None) -> MavsdkLink:
     vehicle = mission.vehicle
     url = sim.vehicle_url if sim and sim.vehicle_url else vehicle.url
     return MavsdkLink(
@@ -259,7 +265,6 @@ def _link(mission: Mission, sim: Simulator | None, recorder: RunRecorder) -> Mav
         connect_timeout_s=vehicle.connect_timeout_s,
         command_timeout_s=vehicle.command_timeout_s,
         link_loss_timeout_s=vehicle.link_loss_timeout_s,
-        on_text=lambda text: recorder.event("autopilot", text),
     )
 
 
@@ -280,9 +285,10 @@ def _as_flown(mission: Mission) -> str:
 
 
 @app.command()
-def check(mission: MissionOption = "animals") -> None:
+def check(mission: MissionOption = "animals", follow: FollowOption = None) -> None:
     """Validate a mission and print what would be flown, without flying."""
     file = load_mission(find_mission(mission))
+    _check_flight(file, follow)
     _create_planner(file)
     m = file.mission
     decision_au = 0.5 / np.sqrt(m.roadmap.num_nodes)

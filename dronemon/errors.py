@@ -67,6 +67,10 @@ class CommandUnconfirmed(VehicleError):
 class ControlTaken(VehicleError):
     """The pilot, or a failsafe of the autopilot, chose a mode that we did not ask for."""
 
+    def __init__(self, message: str, *, by_failsafe: bool = False) -> None:
+        super().__init__(message)
+        self.by_failsafe = by_failsafe
+
 
 class CameraError(DronemonError):
     """No picture came, or not in time."""

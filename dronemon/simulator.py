@@ -48,7 +48,18 @@ async def simulator(
     """
     port = _free_udp_port()
     where = ["--follow", follow] if follow else ["--mavlink-out", f"127.0.0.1:{port}"]
-    command = ["-m", "sim", str(mission_file), *where, "--truth", str(truth), "--parent", *extra]
+    # -P: a `sim` that happens to lie in the current folder is not ours.
+    command = [
+        "-P",
+        "-m",
+        "sim",
+        str(mission_file),
+        *where,
+        "--truth",
+        str(truth),
+        "--parent",
+        *extra,
+    ]
     with log.open("wb") as log_file:
         process = await asyncio.create_subprocess_exec(
             sys.executable,

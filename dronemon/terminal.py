@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 
 from rich.console import Console
 from rich.live import Live
@@ -32,10 +33,15 @@ class FlightDisplay:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._live.stop()
+        with self._quietly():
+            self._live.stop()
 
     def status(self, status: FlightStatus) -> None:
         """Show progress."""
+        with self._quietly():
+            self._show(status)
+
+    def _show(self, status: FlightStatus) -> None:
         if self._console.is_terminal:
             self._live.update(self._line(status))
             return
@@ -47,7 +53,14 @@ class FlightDisplay:
 
     def event(self, kind: str, text: str, level: Level) -> None:
         """Show something that happened."""
-        self._console.print(Text.assemble((f"{kind}: ", _STYLES[level]), text), soft_wrap=True)
+        with self._quietly():
+            self._console.print(Text.assemble((f"{kind}: ", _STYLES[level]), text), soft_wrap=True)
+
+    @contextlib.contextmanager
+    def _quietly(self) -> Iterator[None]:
+        """Nobody looks any more: the flight goes on (rich turns a closed pipe into SystemExit)."""
+        with contextlib.suppress(OSError, SystemExit):
+            yield
 
     def _line(self, status: FlightStatus) -> Text:
         share = min(status.flown_au / status.horizon_au, 1.0) if status.horizon_au else 0.0
@@ -73,9 +86,9 @@ def _minutes(seconds_s: float) -> str:
 
 def facts_table(title: str, facts: Mapping[str, str]) -> Table:
     """A two-column table of named facts."""
-    table = Table(title=title, show_header=False, title_justify="left")
+    table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(style="cyan")
     table.add_column()
     for name, value in facts.items():
-        table.add_row(name, value)
+        table.add_row(Text(name), Text(value))
     return table

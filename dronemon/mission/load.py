@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -17,8 +18,10 @@ from dronemon.errors import MissionFileError
 from dronemon.mission.schema import Mission
 
 KeyPath = tuple[str | int, ...]
+Overrides = Mapping[tuple[str, str], tuple[str, object]]
 _MAX_BYTES = 1_000_000
-_CLIMB_M_S = 1.5  # a cautious climb rate for the estimate of flight time
+_CLIMB_M_S = 1.5  # cautious rates for the estimate of flight time
+_DESCENT_M_S = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,12 +65,13 @@ def shipped_missions() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-def load_mission(path: Path, overrides: dict[tuple[str, str], object] | None = None) -> MissionFile:
+def load_mission(path: Path, overrides: Overrides | None = None) -> MissionFile:
     """Read, validate and check a mission file.
 
-    overrides: (section, key) -> value from the command line, taken as if it stood in the file.
-    Raises MissionFileError.
+    overrides: (section, key) -> name and value of a command line option, taken as if it stood in
+    the file. Raises MissionFileError.
     """
+    overrides = overrides or {}
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise MissionFileError(f"{path}: larger than {_MAX_BYTES} bytes; is it a mission file?")
@@ -75,6 +79,7 @@ def load_mission(path: Path, overrides: dict[tuple[str, str], object] | None = N
     except (OSError, UnicodeDecodeError) as exc:
         raise MissionFileError(f"{path}: cannot be read: {exc}") from exc
     try:
+        _refuse_aliases(path, text)
         root = yaml.compose(text, yaml.SafeLoader)
         data = yaml.safe_load(text)
     except yaml.MarkedYAMLError as exc:
@@ -82,24 +87,41 @@ def load_mission(path: Path, overrides: dict[tuple[str, str], object] | None = N
         raise MissionFileError(f"{path}:{line}: not valid YAML: {exc.problem}") from exc
     except (yaml.YAMLError, ValueError) as exc:
         raise MissionFileError(f"{path}: not valid YAML: {exc}") from exc
+    except RecursionError as exc:
+        raise MissionFileError(f"{path}: not valid YAML: nested too deeply") from exc
     if not isinstance(data, dict):
         raise MissionFileError(
             f"{path}:1: a mission file is a mapping of sections, such as `area:`"
         )
     if root is not None:
         _refuse_duplicates(path, root)
-    for (section, key), value in (overrides or {}).items():
+    for (section, key), (_, value) in overrides.items():
         given = data.setdefault(section, {})
         if isinstance(given, dict):
             given[key] = value
+            if key == "horizon_au":
+                given.pop("horizon_min", None)
     try:
         mission = Mission.model_validate(data)
     except ValidationError as exc:
-        first = exc.errors(include_url=False)[0]
+        problems = exc.errors(include_url=False)
+        # A misspelt key is also a missing one: the misspelling is the story.
+        first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
+        for key_path, (option, _) in overrides.items():
+            if first["loc"][:2] == key_path:
+                raise MissionFileError(f"{option}: {_explain(dict(first))}") from exc
         raise _error(path, root, first["loc"], _explain(dict(first))) from exc
     loaded = MissionFile(path=path, text=text, mission=mission)
     _check(loaded)
     return loaded
+
+
+def _refuse_aliases(path: Path, text: str) -> None:
+    """A mission needs none, and a few lines of them can stand for more than fits into memory."""
+    for event in yaml.parse(text, yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            raise MissionFileError(f"{path}:{line}: *{event.anchor}: aliases are not allowed")
 
 
 def _refuse_duplicates(path: Path, node: yaml.Node) -> None:
@@ -153,7 +175,7 @@ def _explain(error: dict[str, Any]) -> str:
     if kind == "value_error":
         return message.removeprefix("Value error, ")
     text = f"{message[0].lower()}{message[1:]}, but is {given!r}"
-    if kind == "float_parsing":
+    if kind in {"float_type", "float_parsing", "int_type", "int_parsing"}:
         text += "; write a bare number, its unit is the end of the key"
     return text
 
@@ -200,21 +222,46 @@ def _check(file: MissionFile) -> None:
             f"{mission.sensor_radius_m:g} m around the drone (0.1 of the area's side), which takes "
             f"{needed_m:.1f} m at its angle of view; fly higher or make the area smaller",
         )
-    minutes, limit = outbound_min(mission), usable_min(mission)
-    if minutes > limit:
-        raise file.error(
-            ("flight", "horizon_min" if mission.flight.horizon_min is not None else "horizon_au"),
-            f"take-off, the way to the start and the patrol take {minutes:.1f} min, but the "
-            f"battery allows {limit:.1f} min ({mission.flight.endurance_min:g} min endurance less "
-            f"{mission.flight.return_battery:.0%} to return); shorten the horizon or the side",
-        )
+    if problem := battery_problem(mission):
+        horizon = "horizon_min" if mission.flight.horizon_min is not None else "horizon_au"
+        raise file.error(("flight", horizon), problem)
 
 
-def outbound_min(mission: Mission) -> float:
-    """Time in the air until the return begins: climb, the longest way to the start, patrol."""
+def outbound_min(mission: Mission, away_m: float = 0.0) -> float:
+    """Time in the air until the return begins: climb, the longest way to the start, patrol.
+
+    away_m: distance of the area's centre from home.
+    """
     flight = mission.flight
-    approach_s = mission.area.side_m * 0.71 / flight.cruise_speed_m_s
+    approach_s = (away_m + mission.area.side_m * 0.71) / flight.cruise_speed_m_s
     return (flight.altitude_m / _CLIMB_M_S + approach_s + mission.patrol_duration_s) / 60.0
+
+
+def return_min(mission: Mission, away_m: float = 0.0) -> float:
+    """Time from the farthest corner to home and down to the ground."""
+    flight = mission.flight
+    way_s = (away_m + mission.area.side_m * 0.71) / flight.cruise_speed_m_s
+    return (way_s + flight.altitude_m / _DESCENT_M_S) / 60.0
+
+
+def battery_problem(mission: Mission, away_m: float = 0.0) -> str | None:
+    """Say why the battery does not allow the flight, if so."""
+    flight = mission.flight
+    minutes, limit = outbound_min(mission, away_m), usable_min(mission)
+    if minutes > limit:
+        return (
+            f"take-off, the way to the start and the patrol take {minutes:.1f} min, but the "
+            f"battery allows {limit:.1f} min ({flight.endurance_min:g} min endurance less "
+            f"{flight.return_battery:.0%} to return); shorten the horizon, the side or the way"
+        )
+    minutes, limit = return_min(mission, away_m), flight.endurance_min * flight.return_battery
+    if minutes > limit:
+        return (
+            f"the way back from the farthest corner takes {minutes:.1f} min, but at "
+            f"{flight.return_battery:.0%} the battery has {limit:.1f} min left; raise "
+            "return_battery, or bring home and area nearer to each other"
+        )
+    return None
 
 
 def usable_min(mission: Mission) -> float:

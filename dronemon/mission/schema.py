@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from dronemon.types import CameraModel
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
 APPEARANCES = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
 """Animals that the built-in detector tells apart."""
 Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
@@ -27,7 +28,7 @@ MEASUREMENT_INTERVAL_AU = 0.1
 class Section(BaseModel):
     """A part of a mission file: immutable, and unknown keys are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class Area(Section):
@@ -90,7 +91,7 @@ class Flight(Section):
         le=600.0,
         description="Flight time of a full battery; the check before take-off uses it.",
     )
-    start_au: tuple[Fraction, Fraction] | None = Field(
+    start_au: Place | None = Field(
         None, description="Where the patrol starts; drawn from the seed if absent."
     )
 
@@ -189,7 +190,7 @@ class Target(Section):
 
     name: str = Field(min_length=1, max_length=40)
     appearance: Appearance
-    prior_au: tuple[Fraction, Fraction] | Literal["simulated"] | None = Field(
+    prior_au: Place | Literal["simulated"] | None = Field(
         None,
         description="Position known before take-off; `simulated` takes it from the "
         "simulated world; absent: unknown.",
@@ -201,9 +202,6 @@ class Belief(Section):
 
     length_scale_au: float = Field(0.1, gt=0.0, le=1.0, description="Spatial length scale.")
     time_scale_au: float = Field(3.0, gt=0.0, le=100.0, description="Temporal length scale.")
-    prediction_au: float = Field(
-        2.0, gt=0.0, le=10.0, description="How far ahead the planner's second posterior looks."
-    )
 
 
 class Roadmap(Section):
@@ -255,7 +253,7 @@ class Mission(Section):
     vehicle: Vehicle = Vehicle()
     camera: Camera = Camera()
     detector: Detector = Detector()
-    targets: tuple[Target, ...] = Field(min_length=1, max_length=len(APPEARANCES))
+    targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=len(APPEARANCES))
     belief: Belief = Belief()
     roadmap: Roadmap = Roadmap()
     planner: Planner = Planner()

@@ -7,42 +7,30 @@ import contextlib
 import math
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
 
 from dronemon.belief import Belief, Matern32
 from dronemon.camera import FrameSource
-from dronemon.errors import (
-    CommandRejected,
-    CommandUnconfirmed,
-    ControlTaken,
-    DronemonError,
-    LinkLost,
-    MissionFileError,
-    RecordError,
-    VehicleError,
-)
+from dronemon.errors import ControlTaken, DronemonError, MissionFileError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
-from dronemon.mission import Mission
-from dronemon.mission.load import outbound_min, usable_min
-from dronemon.planner import Briefing, Planner
+from dronemon.mission import Mission, MissionFile
+from dronemon.mission.load import battery_problem
+from dronemon.planner import Briefing, Planner, Snapshot
 from dronemon.recorder import RunRecorder
 from dronemon.roadmap import Roadmap
-from dronemon.runner.patrol import REPORT_INTERVAL_S, Kit, Patrol
-from dronemon.runner.status import Audience, FlightStatus, Interrupts, Level
-from dronemon.types import FloatArray
-from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
+from dronemon.runner.homecoming import Homecoming
+from dronemon.runner.patrol import Kit, Patrol
+from dronemon.runner.report import Reporter
+from dronemon.runner.status import Audience, FlightStatus, Interrupts
+from dronemon.types import FloatArray, Measurement, Pose
+from dronemon.vehicle import VehicleLink
 from dronemon.vision import Detector
-from dronemon.viz import FlightView
+from dronemon.viz import FlightView, belief_grid_au
 from dronemon.world import Instance
 from dronemon.world.instance import named_stream
 
-LANDING_LIMIT_S = 900.0
-"""Vehicle time for the way home and the landing."""
-LOST_LINK_LIMIT_S = 120.0
-"""Wall time for a lost link to come back on the way home; the autopilot flies home by itself."""
 _GROUND_POSES = 20
 
 
@@ -50,7 +38,8 @@ _GROUND_POSES = 20
 class FlightResult:
     """How a flight ended.
 
-    outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over and landed) or `failed`.
+    outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`.
+    landing_error_m: distance from home, None if it did not take off or did not land.
     patrol: None if it never began. error: what went wrong, also if the drone came home after it.
     """
 
@@ -66,7 +55,7 @@ class _Interrupted(Exception):
 
 
 async def fly(
-    mission: Mission,
+    file: MissionFile,
     *,
     link: VehicleLink,
     camera: FrameSource,
@@ -83,16 +72,14 @@ async def fly(
     Never raises a DronemonError: what went wrong is in the result, after the drone came home.
     """
     torch.set_num_threads(1)
-    flight = _Flight(
-        mission, link, camera, planner, priors_au, recorder, view, interrupts, audience
-    )
+    flight = _Flight(file, link, camera, planner, priors_au, recorder, view, interrupts, audience)
     return await flight.run()
 
 
 class _Flight:
     def __init__(
         self,
-        mission: Mission,
+        file: MissionFile,
         link: VehicleLink,
         camera: FrameSource,
         planner: Planner,
@@ -102,7 +89,8 @@ class _Flight:
         interrupts: Interrupts,
         audience: Audience,
     ) -> None:
-        self._mission = mission
+        self._file = file
+        self._mission = file.mission
         self._link = link
         self._camera = camera
         self._planner = planner
@@ -110,32 +98,27 @@ class _Flight:
         self._recorder = recorder
         self._view = view
         self._interrupts = interrupts
-        self._audience = audience
+        self._report = Reporter(link, recorder, view, audience)
+        self._home = Homecoming(link, self._report, interrupts, self._status)
         self._patrol: Patrol | None = None
-        self._pilot_flies = False
-        self._is_coming_home = False
-        self._exit = contextlib.AsyncExitStack()
-        self._time_s: float | None = None
+        self._has_flown = False
 
     async def run(self) -> FlightResult:
-        async with self._exit:  # closes the camera
-            return await self._fly()
-
-    async def _fly(self) -> FlightResult:
-        outcome, error = "failed", None
-        try:
-            outcome = await self._tell_the_story()
-        except DronemonError as exc:
-            error, self._is_coming_home = exc, True
-            self._note("failure", str(exc), level="ERROR")
-        finally:
-            self._is_coming_home = True
-            homecoming = await self._come_home()
-        self._note("outcome", outcome)
+        async with contextlib.AsyncExitStack() as self._exit:  # closes the camera
+            outcome, error = "failed", None
+            try:
+                outcome = await self._tell_the_story()
+            except DronemonError as exc:
+                error, self._report.must_go_on = exc, True
+                self._report.note("failure", str(exc), level="ERROR")
+            finally:
+                homecoming = await self._home.come_home()
+            self._report.note("outcome", outcome)
+        is_landed = not self._link.state.is_armed
         return FlightResult(
             outcome=outcome,
-            is_landed=not self._link.state.is_armed,
-            landing_error_m=self._distance_from_home_m(),
+            is_landed=is_landed,
+            landing_error_m=self._distance_from_home_m() if self._has_flown and is_landed else None,
             patrol=self._patrol if self._patrol and self._patrol.tally else None,
             error=error or homecoming,
         )
@@ -144,15 +127,15 @@ class _Flight:
         """Everything up to the way home. -> outcome"""
         try:
             async with self._interruptible():
-                self._patrol = await self._prepare()
-                await self._launch()
+                patrol = self._patrol = await self._prepare()
+            await self._launch()
         except _Interrupted:
             return "interrupted"
         except ControlTaken as exc:
-            if await self._is_given_back(exc):
+            if exc.by_failsafe or await self._home.wait_for_pilot(exc):
                 raise  # too early to go on: come home
             return "pilot"
-        return await self._watch_over(self._patrol)
+        return await self._watch_over(patrol)
 
     @contextlib.asynccontextmanager
     async def _interruptible(self) -> AsyncIterator[None]:
@@ -176,29 +159,20 @@ class _Flight:
     async def _prepare(self) -> Patrol:
         """Wait for the vehicle, lay the area over the ground, brief the planner."""
         mission, link = self._mission, self._link
-        self._status("waiting for the vehicle")
+        self._report.progress(self._status("waiting for the vehicle"))
         await link.wait_ready(mission.vehicle.ready_timeout_s)
         await self._exit.enter_async_context(self._camera)  # its clock is the vehicle's
         frame = await self._lay_area()
         self._check_distance(frame)
         start_au, roadmap = self._draw_start_and_roadmap()
-        belief = Belief(len(mission.targets), mission_kernel(mission))
-        for index, prior_au in enumerate(self._priors_au):
-            if np.isfinite(prior_au).all():
-                belief.add_prior(index, prior_au)
-        briefing = Briefing(
-            num_targets=len(mission.targets),
-            priors_au=self._priors_au,
-            start_au=start_au,
-            horizon_au=mission.horizon_au,
-            rng=named_stream(mission.simulation.seed, "planner"),
-        )
-        await asyncio.to_thread(self._planner.reset, briefing, roadmap)
         detector = Detector(
             [target.appearance for target in mission.targets],
             mission.camera.model,
             mission.detector.min_score,
         )
+        await asyncio.to_thread(self._rehearse, detector, start_au, roadmap)
+        belief = self._new_belief()
+        await asyncio.to_thread(self._planner.reset, self._briefing(start_au, "planner"), roadmap)
         self._view.area(frame, footprint_radius_m=mission.sensor_radius_m)
         self._view.roadmap(roadmap.nodes_au, np.argwhere(roadmap.edge_lengths_au.toarray() > 0))
         kit = Kit(
@@ -213,9 +187,9 @@ class _Flight:
             recorder=self._recorder,
             view=self._view,
             interrupts=self._interrupts,
-            audience=self._audience,
+            report=self._report,
         )
-        self._note("ready", "the vehicle is ready", frame=_describe_frame(frame))
+        self._report.note("ready", "the vehicle is ready", frame=_describe_frame(frame))
         return Patrol(kit, start_au, yaw_rad=frame.heading_rad)
 
     async def _lay_area(self) -> AreaFrame:
@@ -238,17 +212,10 @@ class _Flight:
 
     def _check_distance(self, frame: AreaFrame) -> None:
         """Refuse an area that is too far from here for the battery. Raises MissionFileError."""
-        here = self._link.pose.position_ned_m
-        away_m = math.dist(here[:2], frame.centre_ned_m)
-        speed_m_s = self._mission.flight.cruise_speed_m_s
-        minutes = outbound_min(self._mission) + away_m / speed_m_s / 60.0
-        if minutes > usable_min(self._mission):
-            raise MissionFileError(
-                f"area: its centre is {away_m:.0f} m from the vehicle; the flight until the return "
-                f"would take {minutes:.1f} min, the battery allows "
-                f"{usable_min(self._mission):.1f} min; check latitude_deg and longitude_deg, or "
-                "bring the vehicle nearer"
-            )
+        away_m = math.dist(self._link.pose.position_ned_m[:2], frame.centre_ned_m)
+        if problem := battery_problem(self._mission, away_m):
+            error: MissionFileError = self._file.error(("area", "latitude_deg"), problem)
+            raise error
 
     def _draw_start_and_roadmap(self) -> tuple[FloatArray, Roadmap]:
         seed, mission = self._mission.simulation.seed, self._mission
@@ -265,16 +232,76 @@ class _Flight:
         )
         return start_au, roadmap
 
+    def _new_belief(self) -> Belief:
+        belief = Belief(len(self._mission.targets), mission_kernel(self._mission))
+        for index, prior_au in enumerate(self._priors_au):
+            if np.isfinite(prior_au).all():
+                belief.add_prior(index, prior_au)
+        return belief
+
+    def _briefing(self, start_au: FloatArray, stream: str) -> Briefing:
+        return Briefing(
+            num_targets=len(self._mission.targets),
+            priors_au=self._priors_au,
+            start_au=start_au,
+            horizon_au=self._mission.horizon_au,
+            rng=named_stream(self._mission.simulation.seed, stream),
+        )
+
+    def _rehearse(self, detector: Detector, start_au: FloatArray, roadmap: Roadmap) -> None:
+        """Look, believe and plan once with throw-away data, so that nothing is loaded in flight.
+
+        Compiled code is loaded at its first call and holds up everything else meanwhile, the stream
+        of setpoints too.
+        """
+        mission, num_targets = self._mission, len(self._mission.targets)
+        camera = mission.camera.model
+        level = Pose(
+            time_s=0.0,
+            position_ned_m=(0.0, 0.0, -mission.flight.altitude_m),
+            velocity_ned_m_s=(0.0, 0.0, 0.0),
+            attitude_rad=(0.0, 0.0, 0.0),
+        )
+        noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px, 3))
+        detector.detect(noise.astype(np.uint8), level, 0.0)
+        belief = self._new_belief()
+        measurement = Measurement(
+            time_au=0.1,
+            agent_au=start_au,
+            seen=np.zeros(num_targets, dtype=np.bool_),
+            target_au=np.full((num_targets, 2), np.nan),
+        )
+        belief.add(measurement)
+        grid_au = belief_grid_au().reshape(-1, 2)
+        belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
+        self._planner.reset(self._briefing(start_au, "rehearsal"), roadmap)
+        self._planner.next_waypoint(
+            Snapshot(
+                time_au=0.1,
+                position_au=start_au,
+                node=0,
+                measurements=(measurement,),
+                belief=belief,
+                roadmap=roadmap,
+                remaining_au=mission.horizon_au,
+            )
+        )
+
     # In the air
 
     async def _launch(self) -> None:
         """Arm and climb."""
-        self._status("arming")
-        await self._link.arm()
-        self._note("armed", "motors are running")
-        self._status("taking off")
-        await self._link.take_off(self._mission.flight.altitude_m)
-        self._note("airborne", f"at {self._mission.flight.altitude_m:g} m")
+        if self._interrupts.return_home:
+            raise _Interrupted
+        self._home.arm_was_asked = True
+        self._report.progress(self._status("arming"))
+        await self._link.arm()  # not interruptible: it could arm after nobody waits any more
+        self._report.note("armed", "motors are running")
+        async with self._interruptible():
+            self._has_flown = True
+            self._report.progress(self._status("taking off"))
+            await self._link.take_off(self._mission.flight.altitude_m)
+        self._report.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
 
     async def _watch_over(self, patrol: Patrol) -> str:
         """Patrol until it ends; when the pilot takes over, wait until control is given back."""
@@ -283,135 +310,29 @@ class _Flight:
             try:
                 return outcomes[await patrol.run()]
             except ControlTaken as exc:
-                if not await self._is_given_back(exc):
+                if exc.by_failsafe:
+                    raise
+                if not await self._home.wait_for_pilot(exc):
                     return "pilot"
-                self._note("control given back", "offboard again")
-
-    async def _is_given_back(self, taken: ControlTaken) -> bool:
-        """Wait for the pilot: True once the mode is offboard again, False once disarmed.
-
-        A setpoint for the present place flows meanwhile, since PX4 lets the pilot choose offboard
-        only then. It does not flow during a failsafe, which it would end.
-        """
-        self._note("control taken", str(taken), level="WARN")
-        link = self._link
-        link.release()
-        self._status("the pilot flies")
-        while link.state.is_armed and not self._interrupts.land_now:
-            pose = await link.next_pose()
-            if link.state.mode is Mode.OFFBOARD:
-                return True
-            if not link.state.is_failsafe:
-                await link.send_setpoint(
-                    Setpoint(
-                        position_ned_m=pose.position_ned_m,
-                        velocity_ned_m_s=(0.0, 0.0, 0.0),
-                        yaw_rad=pose.attitude_rad[2],
-                    )
-                )
-        self._pilot_flies = True
-        return False
-
-    # The way home
-
-    async def _come_home(self) -> DronemonError | None:
-        """Return and land; land here if returning fails or a person wants it. -> what failed."""
-        link, loop = self._link, asyncio.get_running_loop()
-        give_up_at = loop.time() + LOST_LINK_LIMIT_S
-        land_here = False
-        was_armed, is_lost = link.state.is_armed, False
-        while link.state.is_armed and not self._pilot_flies:
-            try:
-                if link.state.landed is Landed.ON_GROUND:
-                    await link.disarm()
-                elif land_here or self._interrupts.land_now:
-                    land_here = True
-                    await link.land()
-                else:
-                    await link.return_home()
-                self._note("homecoming", "landing here" if land_here else "returning")
-                await self._wait_for_landing(land_here)
-                give_up_at, is_lost = loop.time() + LOST_LINK_LIMIT_S, False
-            except ControlTaken as exc:
-                if not link.state.is_armed:
-                    break
-                self._note("control taken", str(exc), level="WARN")
-                link.release()
-                self._pilot_flies = True
-                with contextlib.suppress(VehicleError):
-                    await link.wait_until(
-                        lambda: not link.state.is_armed or self._interrupts.land_now,
-                        "the pilot's landing",
-                        LANDING_LIMIT_S,
-                    )
-            except LinkLost as exc:
-                if not is_lost:
-                    self._note("link lost", str(exc), level="ERROR")
-                is_lost = True
-                if loop.time() > give_up_at:
-                    return exc
-            except (CommandRejected, CommandUnconfirmed) as exc:
-                self._note("failure", str(exc), level="ERROR")
-                if land_here:
-                    return exc
-                land_here = True
-            except VehicleError as exc:
-                self._note("failure", str(exc), level="ERROR")
-                return exc
-        if was_armed and not link.state.is_armed:
-            self._note("disarmed", "the motors are off")
-        return None
-
-    async def _wait_for_landing(self, land_here: bool) -> None:
-        """Wait until disarmed, or until a person wants to land here instead of at home."""
-        end_s = self._link.time_s + LANDING_LIMIT_S
-        while not self._is_down(land_here):
-            self._status("landing here" if land_here else "returning")
-            now_s = self._link.time_s
-            await self._link.wait_until(
-                partial(self._is_down, land_here, now_s + REPORT_INTERVAL_S),
-                "landing and disarming",
-                end_s - now_s,
-            )
-
-    def _is_down(self, land_here: bool, until_s: float = math.inf) -> bool:
-        """Whether to wait no longer: disarmed, another way down wanted, or time to say so."""
-        change = self._interrupts.land_now and not land_here
-        return not self._link.state.is_armed or change or self._link.time_s >= until_s
-
-    def _distance_from_home_m(self) -> float | None:
-        state = self._link.state
-        if state.home is None or state.origin is None or self._patrol is None:
-            return None
-        home = geo_to_ned(state.home, state.origin)
-        return math.dist(self._link.pose.position_ned_m[:2], home[:2])
 
     # Telling
 
-    def _status(self, phase: str) -> None:
+    def _status(self, phase: str) -> FlightStatus:
         if self._patrol is not None:
-            self._audience.status(self._patrol.status(phase))
-            return
-        self._audience.status(
-            FlightStatus(
-                phase=phase,
-                horizon_au=self._mission.horizon_au,
-                battery=self._link.state.battery,
-                since_seen_s={target.name: None for target in self._mission.targets},
-            )
+            return self._patrol.status(phase)
+        return FlightStatus(
+            phase=phase,
+            horizon_au=self._mission.horizon_au,
+            battery=self._link.state.battery,
+            since_seen_s={target.name: None for target in self._mission.targets},
         )
 
-    def _note(self, kind: str, text: str, *, level: Level = "INFO", **fields: object) -> None:
-        """Tell record, view and audience. Raises RecordError, except on the way home."""
-        with contextlib.suppress(VehicleError):
-            self._time_s = self._link.time_s
-        self._audience.event(kind, text, level)
-        self._view.event(self._time_s, kind, text, level=level)
-        try:
-            self._recorder.event(kind, text, time_s=self._time_s, **fields)
-        except RecordError:
-            if not self._is_coming_home:
-                raise
+    def _distance_from_home_m(self) -> float | None:
+        state = self._link.state
+        if state.home is None or state.origin is None:
+            return None
+        home = geo_to_ned(state.home, state.origin)
+        return math.dist(self._link.pose.position_ned_m[:2], home[:2])
 
 
 def mission_kernel(mission: Mission) -> Matern32:

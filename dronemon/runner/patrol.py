@@ -20,7 +20,7 @@ import numpy as np
 
 from dronemon.belief import Belief
 from dronemon.camera import FrameSource
-from dronemon.errors import PlannerError
+from dronemon.errors import PlannerError, VehicleError
 from dronemon.frames import AreaFrame
 from dronemon.guidance import Carrot
 from dronemon.mission import Mission
@@ -28,7 +28,8 @@ from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
 from dronemon.planner import Planner, Snapshot, Waypoint
 from dronemon.recorder import RunRecorder
 from dronemon.roadmap import Roadmap
-from dronemon.runner.status import Audience, FlightStatus, Interrupts
+from dronemon.runner.report import Reporter
+from dronemon.runner.status import REPORT_INTERVAL_S, FlightStatus, Interrupts
 from dronemon.types import FloatArray, Measurement, Picture, Pose
 from dronemon.vehicle import Setpoint, VehicleLink
 from dronemon.vision import Detector, interpolate_pose, observe
@@ -38,7 +39,6 @@ SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
 STALL_LIMIT_S = 4.0
 """Vehicle time without a new waypoint after which the mission loop counts as hung."""
-REPORT_INTERVAL_S = 1.0
 _MAX_PENDING = 4
 
 
@@ -52,7 +52,9 @@ class Tally:
     measurements: list[Measurement] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
     last_seen_s: dict[str, float] = field(default_factory=dict)
-    picture_flown_m: list[float] = field(default_factory=list)
+    num_pictures_due: int = 0
+    progress: list[tuple[float, float]] = field(default_factory=list)
+    """Vehicle time and distance flown at each setpoint."""
     decision_ms: list[float] = field(default_factory=list)
     cross_track_m: list[float] = field(default_factory=list)
 
@@ -72,7 +74,7 @@ class Kit:
     recorder: RunRecorder
     view: FlightView
     interrupts: Interrupts
-    audience: Audience
+    report: Reporter
 
 
 class Patrol:
@@ -166,7 +168,16 @@ class Patrol:
         self.tally.duration_s += duration_s
 
     def _reason_to_end(self) -> str | None:
-        mission, battery = self._kit.mission, self._kit.link.state.battery
+        """Why the patrol is over, if it is. Raises VehicleError if it cannot go on."""
+        mission, state = self._kit.mission, self._kit.link.state
+        battery = state.battery
+        if not state.is_armed:
+            raise VehicleError("the vehicle disarmed during the patrol; see what it says")
+        if not state.is_position_good:
+            raise VehicleError(
+                "the vehicle lost its absolute position (GPS?): where it is, and what it sees "
+                "where, cannot be trusted; it comes down"
+            )
         if self._kit.interrupts.return_home:
             return "interrupt"
         if battery is not None and battery <= mission.flight.return_battery:
@@ -193,11 +204,12 @@ class Patrol:
     def _ask_for_picture(self, pose: Pose) -> None:
         if self.tally is None:
             return
+        self.tally.progress.append((pose.time_s, self.tally.flown_m))
         interval_m = MEASUREMENT_INTERVAL_AU * self._side_m
-        due_m = (len(self.tally.picture_flown_m) + 1) * interval_m
+        due_m = (self.tally.num_pictures_due + 1) * interval_m
         # The nearest setpoint to the due distance is at most half a setpoint's way off.
         if self.tally.flown_m + 0.5 * SETPOINT_INTERVAL_S * _ground_speed(pose) >= due_m:
-            self.tally.picture_flown_m.append(self.tally.flown_m)
+            self.tally.num_pictures_due += 1
             self._picture_due.set()
         self.tally.cross_track_m.append(self._carrot.cross_track_m(pose.position_ned_m[:2]))
 
@@ -249,7 +261,8 @@ class Patrol:
                 tally.last_seen_s[target.name] = picture.time_s
         self._new.append(measurement)
         self._kit.belief.add(measurement)
-        self._kit.view.picture(picture, detections, pose)
+        if self._kit.mission.record.pictures:
+            self._kit.view.picture(picture, detections, pose)
         self._kit.view.measurement(picture.time_s, measurement)
         self._kit.view.scalars(
             picture.time_s,
@@ -271,7 +284,7 @@ class Patrol:
         now_s = self._kit.link.time_s
         if self.tally is None:
             self.tally = Tally(start_s=now_s)
-            self._kit.recorder.event("patrol", "the patrol begins", time_s=now_s)
+            self._kit.report.note("patrol", "the patrol begins")
         flown_au = self.tally.flown_m / self._side_m
         # Asked a little before the waypoint is reached, so that the drone need not stop there.
         ahead_au = max(self._carrot.remaining_m, 0.0) / self._side_m
@@ -318,7 +331,8 @@ class Patrol:
     def _report(self, pose: Pose) -> None:
         if pose.time_s >= self._report_due_s:
             self._report_due_s = pose.time_s + REPORT_INTERVAL_S
-            self._kit.audience.status(self.status("patrol" if self.tally else "to the start"))
+            phase = "patrol" if self.tally else "to the start"
+            self._kit.report.progress(self.status(phase))
 
     def status(self, phase: str) -> FlightStatus:
         """How far the patrol is, as a line of progress of any phase."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 Level = Literal["INFO", "WARN", "ERROR"]
+REPORT_INTERVAL_S = 1.0
+"""Vehicle time between two lines of progress."""
 
 
 class Interrupts:

@@ -46,7 +46,9 @@ def summarise(
 def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Summary:
     seen = np.array([m.seen for m in tally.measurements], dtype=bool)
     seen = seen.reshape(-1, len(target_names))
-    spacing_m = np.diff(tally.picture_flown_m, prepend=0.0)
+    progress = np.array(tally.progress)  # (T, 2) s, m
+    pictured_m = np.interp(tally.times_s, *progress.T) if len(progress) else np.empty(0)
+    spacing_m = np.diff(pictured_m, prepend=0.0)
     return {
         "distance_m": tally.flown_m,
         "distance_au": tally.flown_m / side_m,
@@ -55,6 +57,7 @@ def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Summar
         "cross_track_p95_m": _percentile(tally.cross_track_m, 95),
         "cross_track_p95_au": _percentile(np.array(tally.cross_track_m) / side_m, 95),
         "pictures": len(tally.measurements),
+        "pictures_due": tally.num_pictures_due,
         "picture_spacing_m": _percentile(spacing_m, 50),
         "picture_spacing_error": _percentile(np.abs(spacing_m / (0.1 * side_m) - 1.0), 50),
         "decisions": len(tally.decision_ms),
@@ -120,7 +123,7 @@ def facts(outcome: str, summary: Summary) -> dict[str, str]:
     show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
     show("mean ground speed", "{:.2f} m/s", "mean_speed_m_s")
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")
-    show("pictures", "{}, {:.2f} m apart", "pictures", "picture_spacing_m")
+    show("pictures", "{} of {}, {:.2f} m apart", "pictures", "pictures_due", "picture_spacing_m")
     show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")
     show("Unc (spread)", "{:.3f} ({:.3f})", "unc", "unc_std")
     show("JSD", "{:.3f}", "jsd")

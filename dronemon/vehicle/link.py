@@ -41,6 +41,8 @@ class VehicleState:
     is_armed: bool = False
     is_failsafe: bool = False
     is_armable: bool = False
+    is_position_good: bool = True
+    """Whether the estimator has an absolute horizontal position; without GPS it drifts."""
     landed: Landed = Landed.UNKNOWN
     battery: float | None = None
     """Charge left, 0 to 1; None where the vehicle does not know."""
@@ -126,6 +128,14 @@ class VehicleLink(Protocol):
 
     async def land(self) -> None:
         """Begin to land here, by the autopilot alone."""
+        ...
+
+    def texts(self) -> list[str]:
+        """What the autopilot said in words since the last call."""
+        ...
+
+    async def next_heartbeat(self) -> None:
+        """Wait for the next heartbeat: what it says of mode and arming is fresh."""
         ...
 
     def release(self) -> None:

@@ -61,7 +61,11 @@ _GPS_GLOBAL_ORIGIN, _HOME_POSITION, _ATTITUDE, _LOCAL_POSITION_NED = 49, 242, 30
 _PX4_OFFBOARD_MAIN_MODE = 6
 _POSITION_VELOCITY_YAW = 0b1001_1100_0000  # type_mask: ignore acceleration and yaw rate
 _ATTEMPTS = 3
+_POS_HORIZ_ABS = 16  # ESTIMATOR_POS_HORIZ_ABS
+_EXPECTED_AFTER = {Mode.RETURN: frozenset({Mode.RETURN, Mode.LAND})}
 _STREAM_BEFORE_OFFBOARD_S = 0.5
+_STALE_POSITION_S = 0.5
+_TEXTS_KEPT = 100
 _POSES_KEPT = 512
 _REBOOT_JUMP_S = 1.0
 
@@ -70,7 +74,6 @@ class MavsdkLink:
     """A PX4 vehicle at a MAVLink URL. Implements VehicleLink.
 
     connect_timeout_s, link_loss_timeout_s: wall time; command_timeout_s: vehicle time.
-    `on_text` receives what the autopilot says in words.
     """
 
     def __init__(
@@ -80,19 +83,20 @@ class MavsdkLink:
         connect_timeout_s: float = 10.0,
         command_timeout_s: float = 10.0,
         link_loss_timeout_s: float = 5.0,
-        on_text: Callable[[str], None] | None = None,
     ) -> None:
         self._url = url
         self._connect_timeout_s = connect_timeout_s
         self._command_timeout_s = command_timeout_s
         self._link_loss_timeout_s = link_loss_timeout_s
-        self._on_text = on_text or (lambda text: None)
+        self._texts: deque[str] = deque(maxlen=_TEXTS_KEPT)
+        self._num_heartbeats = 0
         self._state = VehicleState()
         self._expected_modes: frozenset[Mode] | None = None  # None: any
         self._position: tuple[float, Vector3, Vector3] | None = None
         self._poses: deque[Pose] = deque(maxlen=_POSES_KEPT)
         self._has_rebooted = False
         self._last_given_s = -math.inf
+        self._posed_at = math.inf  # the event loop's time of the newest pose
         self._changed: asyncio.Event = asyncio.Event()
         self._readers: list[asyncio.Task[None]] = []
         self._exit = contextlib.AsyncExitStack()
@@ -146,6 +150,7 @@ class MavsdkLink:
             "LOCAL_POSITION_NED": self._on_local_position,
             "EXTENDED_SYS_STATE": self._on_extended_state,
             "SYS_STATUS": self._on_sys_status,
+            "ESTIMATOR_STATUS": self._on_estimator_status,
             "HOME_POSITION": self._on_home,
             "GPS_GLOBAL_ORIGIN": self._on_origin,
             "STATUSTEXT": self._on_statustext,
@@ -161,7 +166,10 @@ class MavsdkLink:
     async def _read(self, name: str, handler: Callable[[dict[str, Any]], None]) -> None:
         async for message in self._direct.subscribe_message(name):
             if message.system_id == self._system_id:
-                handler(json.loads(message.fields_json))
+                try:
+                    handler(json.loads(message.fields_json))
+                except (LookupError, TypeError, ValueError) as exc:
+                    logging.getLogger(__name__).warning("%s cannot be read: %r", name, exc)
                 self._changed.set()
 
     def _on_heartbeat(self, fields: dict[str, Any]) -> None:
@@ -173,6 +181,7 @@ class MavsdkLink:
             is_armed=bool(fields["base_mode"] & _ARMED_FLAG),
             is_failsafe=fields["system_status"] == _STATE_CRITICAL,
         )
+        self._num_heartbeats += 1
 
     def _on_local_position(self, fields: dict[str, Any]) -> None:
         time_s = fields["time_boot_ms"] / 1000.0
@@ -195,7 +204,10 @@ class MavsdkLink:
             self._poses.clear()
         # Positions come at a third of the attitude's rate: carry the newest one along its velocity.
         position_time_s, position, velocity = self._position
-        ahead_s = min(max(time_s - position_time_s, 0.0), 0.5)
+        ahead_s = max(time_s - position_time_s, 0.0)
+        if ahead_s > _STALE_POSITION_S:
+            return  # no pose is better than an old place with a new time
+        self._posed_at = asyncio.get_running_loop().time()
         self._poses.append(
             Pose(
                 time_s=time_s,
@@ -220,6 +232,10 @@ class MavsdkLink:
             is_armable=bool(fields["onboard_control_sensors_health"] & _PREARM_CHECK),
         )
 
+    def _on_estimator_status(self, fields: dict[str, Any]) -> None:
+        is_good = bool(fields["flags"] & _POS_HORIZ_ABS)
+        self._state = replace(self._state, is_position_good=is_good)
+
     def _on_home(self, fields: dict[str, Any]) -> None:
         self._state = replace(self._state, home=_geo_point(fields))
 
@@ -227,7 +243,13 @@ class MavsdkLink:
         self._state = replace(self._state, origin=_geo_point(fields))
 
     def _on_statustext(self, fields: dict[str, Any]) -> None:
-        self._on_text(str(fields["text"]).rstrip("\0"))
+        self._texts.append(str(fields["text"]).rstrip("\0"))
+
+    def texts(self) -> list[str]:
+        """What the autopilot said in words since the last call."""
+        said = list(self._texts)
+        self._texts.clear()
+        return said
 
     @property
     def state(self) -> VehicleState:
@@ -251,7 +273,13 @@ class MavsdkLink:
 
     # Waiting
 
-    async def _next_message(self) -> None:
+    async def next_heartbeat(self) -> None:
+        """Wait for the next heartbeat."""
+        heard = self._num_heartbeats
+        while self._num_heartbeats == heard:
+            await self._next_message(checks_mode=False)
+
+    async def _next_message(self, *, checks_mode: bool = True) -> None:
         """Wait for any telemetry and check what every wait must check."""
         self._changed.clear()
         try:
@@ -262,19 +290,27 @@ class MavsdkLink:
                 f"nothing heard from the vehicle on {self._url} for "
                 f"{self._link_loss_timeout_s:g} s; its own failsafe is in charge until it is back"
             ) from exc
-        self._check()
-
-    def _check(self) -> None:
         if self._has_rebooted:
             self._has_rebooted = False
-            raise VehicleError(
-                "the autopilot has rebooted: its clock went back; the flight is over"
+            raise VehicleError("the autopilot rebooted: its clock went back; the flight is over")
+        if checks_mode:
+            self._check_mode()
+        silent_s = asyncio.get_running_loop().time() - self._posed_at
+        if silent_s > self._link_loss_timeout_s:
+            raise LinkLost(
+                f"the vehicle on {self._url} sent no position or attitude for {silent_s:.1f} s; "
+                "its own failsafe is in charge until they are back"
             )
+
+    def _check_mode(self) -> None:
+        """Raise ControlTaken if the mode is none that we asked for."""
         if self._expected_modes is not None and self._state.mode not in self._expected_modes:
-            who = "a failsafe of the autopilot" if self._state.is_failsafe else "the pilot"
+            by_failsafe = self._state.is_failsafe
+            who = "a failsafe of the autopilot" if by_failsafe else "the pilot"
             raise ControlTaken(
                 f"{who} chose mode '{self._state.mode}' where "
-                f"'{' or '.join(sorted(self._expected_modes))}' was ours"
+                f"'{' or '.join(sorted(self._expected_modes))}' was ours",
+                by_failsafe=by_failsafe,
             )
 
     async def next_pose(self) -> Pose:
@@ -389,15 +425,16 @@ class MavsdkLink:
         )
 
     async def _change_mode(self, mode: Mode, send: Callable[[], Awaitable[object]]) -> None:
-        """Ask for a mode and wait for the heartbeat that shows it."""
-        before = self._expected_modes
-        self._expected_modes = None
-        try:
-            await self._confirm(f"mode '{mode}'", send, lambda: self._state.mode is mode)
-        except VehicleError:
-            self._expected_modes = before
-            raise
-        self._expected_modes = frozenset({mode})
+        """Ask for a mode and wait for the heartbeat that shows it; a pilot's choice wins."""
+        self._check_mode()
+        self._expect_also(mode)
+        await self._confirm(f"mode '{mode}'", send, lambda: self._state.mode is mode)
+        self._expected_modes = _EXPECTED_AFTER.get(mode, frozenset({mode}))
+
+    def _expect_also(self, *modes: Mode) -> None:
+        """While a command is under way, the mode is either still the old one or what we asked."""
+        if self._expected_modes is not None:
+            self._expected_modes |= frozenset(modes)
 
     async def arm(self) -> None:
         """Start the motors."""
@@ -412,25 +449,34 @@ class MavsdkLink:
         """Climb to a height above the present place and hold there."""
         start_down_m = self.pose.position_ned_m[2]
         tolerance_m = max(1.0, 0.03 * height_m)
+        self._expected_modes = frozenset({self._state.mode, Mode.TAKEOFF, Mode.HOLD})
         try:
+            usual_m = await self._action.get_takeoff_altitude()
             await self._action.set_takeoff_altitude(height_m)
         except MavsdkError as exc:
             raise CommandRejected(f"take-off altitude {height_m:g} m was refused: {exc}") from exc
-        await self._confirm(
-            "take-off",
-            self._action.takeoff,
-            lambda: self._state.mode is Mode.TAKEOFF or self._state.landed is not Landed.ON_GROUND,
-        )
-        self._expected_modes = frozenset({Mode.TAKEOFF, Mode.HOLD})
-        await self.wait_until(
-            lambda: start_down_m - self.pose.position_ned_m[2] > height_m - tolerance_m,
-            f"climb to {height_m:g} m",
-            timeout_s=30.0 + 2.0 * height_m,
-        )
+        try:
+            await self._confirm(
+                "take-off",
+                self._action.takeoff,
+                lambda: (
+                    self._state.mode is Mode.TAKEOFF or self._state.landed is not Landed.ON_GROUND
+                ),
+            )
+            self._expected_modes = frozenset({Mode.TAKEOFF, Mode.HOLD})
+            await self.wait_until(
+                lambda: start_down_m - self.pose.position_ned_m[2] > height_m - tolerance_m,
+                f"climb to {height_m:g} m",
+                timeout_s=30.0 + 2.0 * height_m,
+            )
+        finally:  # the parameter is the vehicle's: leave it as it was
+            with contextlib.suppress(MavsdkError):
+                await self._action.set_takeoff_altitude(usual_m)
 
     async def start_offboard(self, setpoint: Setpoint) -> None:
         """Hand the vehicle over to our setpoints; they must have begun to flow before."""
-        self._expected_modes = None
+        self._check_mode()
+        self._expect_also(Mode.OFFBOARD)
         asked_s = -math.inf
         for _ in range(_ATTEMPTS):
             start_s = self.time_s

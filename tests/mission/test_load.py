@@ -36,6 +36,9 @@ def test_animals_is_the_papers_experiment():
         ("altitude_m:", "altitud:", 6, ["flight.altitud", "did you mean `altitude_m`"]),
         ("altitude_m:", "altitude_ft:", 6, ["flight.altitude_ft", "did you mean `altitude_m`"]),
         ("altitude_m: 35", "altitude_m: 35 m", 6, ["valid number", "'35 m'", "unit"]),
+        ("horizon_au: 30", "horizon_au: true", 8, ["flight.horizon_au", "valid number", "True"]),
+        ("appearance: fox", "apearance: fox", 12, ["did you mean `appearance`"]),
+        ("horizon_au: 30", "return_battery: 0.02", 5, ["horizon_au", "way back", "return_battery"]),
         ("side_m: 200", "side_m: -3", 4, ["area.side_m", "greater than or equal to 10", "-3"]),
         ("horizon_au: 30", "horizon_au: 60", 8, ["flight.horizon_au", "battery", "22.5 min"]),
         ("horizon_au: 30", "horizon_au: .nan", 8, ["flight.horizon_au", "finite"]),
@@ -79,6 +82,18 @@ def test_yaml_cannot_make_objects(tmp_path: Path):
     assert "not valid YAML" in message
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: &a [*a]", "aliases are not allowed"),
+        ("a: &a [1]\nb: &b [*a, *a]", "aliases are not allowed"),
+        ("[" * 2000 + "]" * 2000, "nested too deeply"),
+    ],
+)
+def test_hostile_yaml(tmp_path: Path, text: str, words: str):
+    assert words in _error(tmp_path, text)
+
+
 def test_missing_files_and_names(tmp_path: Path):
     with pytest.raises(MissionFileError, match=r"no such mission file; .*animals"):
         find_mission(str(tmp_path / "none.yaml"))
@@ -90,20 +105,25 @@ def test_missing_files_and_names(tmp_path: Path):
 def test_command_line_overrides_the_file(tmp_path: Path):
     path = tmp_path / "m.yaml"
     path.write_text(ANIMALS)
-    loaded = load_mission(path, {("vehicle", "speed_up"): 20.0, ("flight", "horizon_au"): 2.0})
+    loaded = load_mission(
+        path,
+        {
+            ("vehicle", "speed_up"): ("--speed-up", 20.0),
+            ("flight", "horizon_au"): ("--horizon-au", 2.0),
+        },
+    )
     assert loaded.mission.vehicle.speed_up == 20
     assert loaded.mission.horizon_au == 2
-    with pytest.raises(MissionFileError, match=r"vehicle\.speed_up.*less than or equal to 20"):
-        load_mission(path, {("vehicle", "speed_up"): 50.0})
+    with pytest.raises(MissionFileError, match=r"^--speed-up: .*less than or equal to 20, but"):
+        load_mission(path, {("vehicle", "speed_up"): ("--speed-up", 50.0)})
 
 
-def test_horizon_in_minutes():
-    mission = load_mission(find_mission("animals"), {("flight", "horizon_au"): None}).mission
-    assert mission.horizon_au == 30
-    minutes = mission.model_copy(
-        update={"flight": mission.flight.model_copy(update={"horizon_min": 10.0})}
-    )
-    assert minutes.horizon_au == pytest.approx(10 * 60 * 5 / 200)
+def test_horizon_in_minutes(tmp_path: Path):
+    path = tmp_path / "m.yaml"
+    path.write_text(ANIMALS.replace("horizon_au: 30", "horizon_min: 10"))
+    assert load_mission(path).mission.horizon_au == pytest.approx(10 * 60 * 5 / 200)
+    option = {("flight", "horizon_au"): ("--horizon-au", 3.0)}
+    assert load_mission(path, option).mission.horizon_au == 3.0
 
 
 def test_shipped_schema_is_the_models():

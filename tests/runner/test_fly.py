@@ -71,7 +71,7 @@ class Rehearsal:
         return asyncio.run(self._fly(options))
 
     async def _fly(self, options: tuple[str, ...]) -> FlightResult:
-        mission = load_mission(self.path).mission
+        file = load_mission(self.path)
         vehicle = self._start(self.path, "--speed-up", "20", *options)
         recorder = RunRecorder.create(
             mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out
@@ -81,14 +81,14 @@ class Rehearsal:
             recorder.folder.rrd_path,
             title="small",
             targets={"Bella": "cow"},
-            camera=mission.camera.model,
+            camera=file.mission.camera.model,
             side_m=100.0,
         )
         async with asyncio.timeout(90):
             with recorder, view:
                 async with MavsdkLink(vehicle.url, link_loss_timeout_s=2.0) as link:
                     return await fly(
-                        mission,
+                        file,
                         link=link,
                         camera=SimulatedCamera(vehicle.camera_url, timeout_s=1.5),
                         planner=self.planner,
