@@ -24,6 +24,8 @@ LANDING_LIMIT_S = 900.0
 """Vehicle time for the way home and the landing."""
 LOST_LINK_LIMIT_S = 120.0
 """Wall time for a lost link to come back; the autopilot flies home by itself meanwhile."""
+FAILING_LIMIT_S = 120.0
+"""Wall time in which returning and landing are asked for in turn, while both are refused."""
 _HEARTBEATS_TO_BE_SURE = 2
 
 
@@ -59,7 +61,7 @@ class Homecoming:
                     await link.next_heartbeat()
         was_armed = link.state.is_armed
         give_up_at, lost = loop.time() + LOST_LINK_LIMIT_S, False
-        land_here, taken = False, None
+        land_here, taken, fail_until = False, None, math.inf
         while link.state.is_armed:
             try:
                 if lost:
@@ -71,7 +73,10 @@ class Homecoming:
                 elif taken is not None:
                     self._report.note("failsafe", str(taken), level="WARN")
                     link.release()
-                    await self._wait_for_landing(land_here, "failsafe lands")
+                    if link.state.mode in {Mode.RETURN, Mode.LAND}:
+                        await self._wait_for_landing(land_here, "failsafe lands")
+                    else:  # it hovers, as PX4 does without GPS: only down is left
+                        land_here = True
                 elif link.state.landed is Landed.ON_GROUND:
                     await link.disarm()
                 else:
@@ -87,10 +92,12 @@ class Homecoming:
                 if self.pilot_flies or loop.time() > give_up_at:
                     return exc
             except (CommandRejected, CommandUnconfirmed) as exc:
-                self._report.note("failure", str(exc), level="ERROR")
-                if land_here:
+                if math.isinf(fail_until):
+                    fail_until = loop.time() + FAILING_LIMIT_S
+                    self._report.note("failure", str(exc), level="ERROR")
+                if loop.time() > fail_until:
                     return exc
-                land_here = True
+                land_here = not land_here  # what is refused now, without GPS say, may go later
             except VehicleError as exc:
                 self._report.note("failure", str(exc), level="ERROR")
                 return exc

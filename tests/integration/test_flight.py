@@ -61,7 +61,9 @@ def fly(tmp_path: Path):
     yield start
     for flight in flights:
         flight.process.kill()
-        flight.process.communicate()
+        flight.process.wait()
+        if flight.process.stdout is not None:
+            flight.process.stdout.close()
 
 
 def _verify(flight: Flight) -> None:
@@ -73,7 +75,8 @@ def _verify(flight: Flight) -> None:
 
 
 def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
-    flight = fly("--mission", "missions/animals.yaml", "--planner", "tsp", "--horizon-au", "2")
+    options = ("--planner", "tsp", "--horizon-au", "2", "--speed-up", "10")
+    flight = fly("--mission", "missions/animals.yaml", *options)
     code, output = flight.finish()
     assert code == 0, output
     summary = flight.summary()
@@ -91,6 +94,8 @@ def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
     story = ["ready", "armed", "airborne", "patrol", "homecoming", "disarmed", "outcome"]
     assert [kind for kind in kinds if kind in story] == story
     assert "Unc" in output
+    assert not any("failsafe" in event["text"].lower() for event in flight.lines("events"))
+    assert summary["pictures"] == summary["pictures_due"]
     _verify(flight)
 
 
@@ -123,6 +128,25 @@ def test_ctrl_c_returns_and_lands_and_keeps_the_record(fly: Callable[..., Flight
     assert summary["is_landed"]
     assert summary["landing_error_m"] < 3.0
     _verify(flight)
+
+
+def test_a_closed_terminal_does_not_keep_the_drone_in_the_air(fly: Callable[..., Flight]):
+    flight = fly("--planner", "lawnmower", "--horizon-au", "1")
+    flight.wait_for_event("patrol")
+    assert flight.process.stdout is not None
+    flight.process.stdout.close()
+    flight.process.wait(timeout=100)
+    assert [e["kind"] for e in flight.lines("events")][-2:] == ["disarmed", "outcome"]
+    assert flight.summary()["is_landed"]
+
+
+def test_a_sim_in_the_current_folder_is_not_run(tmp_path: Path):
+    (tmp_path / "sim.py").write_text("raise SystemExit('this is another sim')")
+    out = tmp_path / "run"
+    options = ["--horizon-au", "0.5", "--speed-up", "20", "--out", str(out)]
+    program = Path(sys.executable).parent / "dronemon"
+    done = subprocess.run([program, "fly", *options], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_ctrl_c_twice_lands_on_the_spot(fly: Callable[..., Flight]):

@@ -14,7 +14,14 @@ from conftest import StartMockVehicle, free_udp_port
 from pymavlink import mavutil
 
 from dronemon.camera import SimulatedCamera
-from dronemon.errors import CameraError, LinkLost, PlannerError, RecordError
+from dronemon.errors import (
+    CameraError,
+    ControlTaken,
+    LinkLost,
+    PlannerError,
+    RecordError,
+    VehicleError,
+)
 from dronemon.mission import load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.planner.lawnmower import Lawnmower
@@ -254,3 +261,35 @@ def test_the_pilot_wins_during_take_off_too(rehearsal: Rehearsal):
     assert result.outcome == "pilot"
     assert "airborne" not in rehearsal.audience.kinds
     assert "homecoming" not in rehearsal.audience.kinds
+
+
+def test_a_pilot_whose_link_is_silent_for_a_while_is_not_fought(rehearsal: Rehearsal):
+    def ask_twice() -> None:
+        rehearsal.interrupts.request()
+        rehearsal.interrupts.request()
+
+    def end_later(kind: str) -> None:
+        if kind == "control taken":
+            asyncio.get_running_loop().call_later(8.0, ask_twice)
+
+    rehearsal.audience.on_event = end_later
+    result = rehearsal.fly("--fault", "pilot@40", "--fault", "silence@45+80")
+    assert result.outcome == "pilot"
+    assert "homecoming" not in rehearsal.audience.kinds
+
+
+def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
+    """Commands that are not heard: setpoints stop for the vehicle, which flies home by itself."""
+    result = rehearsal.fly("--fault", "deaf@40")
+    assert isinstance(result.error, ControlTaken)
+    assert result.error.by_failsafe
+    assert result.is_landed
+    assert "homecoming" not in rehearsal.audience.kinds
+
+
+def test_lost_gps_ends_the_patrol(rehearsal: Rehearsal):
+    """Without it the vehicle can only hover; it is brought home once it has it again."""
+    result = rehearsal.fly("--fault", "gps@40+60")
+    assert isinstance(result.error, VehicleError)
+    assert "lost its absolute position" in str(result.error)
+    assert result.is_landed
