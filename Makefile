@@ -4,13 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 FLY ?= --mission missions/animals.yaml
 
-.PHONY: fly test lint types clean
+.PHONY: fly test test-flights lint types clean
 
 fly: $(VENV)/.installed
 	$(BIN)/dronemon fly $(FLY)
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest
+
+test-flights: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m flights
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

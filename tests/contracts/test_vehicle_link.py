@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
 import pytest
-from conftest import free_udp_port
+from simulated_vehicle import free_udp_port
 
 from dronemon.errors import CommandUnconfirmed, ControlTaken, LinkLost, LinkTimeout
 from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
@@ -97,6 +97,7 @@ def test_poses_come_in_order_and_enclose_an_instant(with_link):
     with_link(story)
 
 
+@pytest.mark.flights
 def test_waiting_has_a_limit_in_vehicle_time(with_link):
     async def story(link: VehicleLink) -> None:
         began_s = link.time_s
@@ -131,6 +132,7 @@ def test_silence_is_noticed(with_link):
     with_link(story, "silence@15")
 
 
+@pytest.mark.flights
 def test_setpoints_that_stop_end_offboard(with_link):
     async def story(link: VehicleLink) -> None:
         await link.arm()

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import StartMockVehicle, free_udp_port
+from simulated_vehicle import StartMockVehicle, free_udp_port
 
 ROOT = Path(__file__).parents[2]
 
@@ -99,6 +99,7 @@ def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
     _verify(flight)
 
 
+@pytest.mark.flights
 def test_observations_are_where_the_animals_are(fly: Callable[..., Flight]):
     """The whole chain of projections: a sign error anywhere puts animals metres away."""
     flight = fly("--mission", "animals", "--planner", "tsp", "--horizon-au", "2", "--seed", "3")
@@ -130,6 +131,7 @@ def test_ctrl_c_returns_and_lands_and_keeps_the_record(fly: Callable[..., Flight
     _verify(flight)
 
 
+@pytest.mark.flights
 def test_a_closed_terminal_does_not_keep_the_drone_in_the_air(fly: Callable[..., Flight]):
     flight = fly("--planner", "lawnmower", "--horizon-au", "1")
     flight.wait_for_event("patrol")
@@ -140,6 +142,7 @@ def test_a_closed_terminal_does_not_keep_the_drone_in_the_air(fly: Callable[...,
     assert flight.summary()["is_landed"]
 
 
+@pytest.mark.flights
 def test_a_sim_in_the_current_folder_is_not_run(tmp_path: Path):
     (tmp_path / "sim.py").write_text("raise SystemExit('this is another sim')")
     out = tmp_path / "run"
@@ -149,6 +152,7 @@ def test_a_sim_in_the_current_folder_is_not_run(tmp_path: Path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.flights
 def test_ctrl_c_twice_lands_on_the_spot(fly: Callable[..., Flight]):
     flight = fly("--planner", "lawnmower")
     flight.wait_for_event("patrol")
@@ -162,6 +166,7 @@ def test_ctrl_c_twice_lands_on_the_spot(fly: Callable[..., Flight]):
     _verify(flight)
 
 
+@pytest.mark.flights
 def test_a_vehicle_at_a_url_with_animals_that_follow_it(
     fly: Callable[..., Flight], mock_vehicle: StartMockVehicle
 ):

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import StartMockVehicle, free_udp_port
 from pymavlink import mavutil
+from simulated_vehicle import StartMockVehicle, free_udp_port
 
 from dronemon.camera import SimulatedCamera
 from dronemon.errors import (
@@ -172,6 +172,7 @@ def test_a_dead_camera_brings_the_drone_home(rehearsal: Rehearsal):
     assert result.is_landed
 
 
+@pytest.mark.flights
 def test_a_low_battery_brings_the_drone_home(rehearsal: Rehearsal):
     result = rehearsal.fly("--fault", "battery=0.24@40")
     assert result.outcome == "battery low"
@@ -179,6 +180,7 @@ def test_a_low_battery_brings_the_drone_home(rehearsal: Rehearsal):
     assert result.is_landed
 
 
+@pytest.mark.flights
 def test_a_lost_link_is_waited_for(rehearsal: Rehearsal):
     """The autopilot's own failsafe flies home meanwhile; the record is complete."""
     result = rehearsal.fly("--fault", "silence@40+60")
@@ -187,6 +189,7 @@ def test_a_lost_link_is_waited_for(rehearsal: Rehearsal):
     assert result.outcome == "failed"
 
 
+@pytest.mark.flights
 def test_a_full_disk_brings_the_drone_home(rehearsal: Rehearsal, monkeypatch: pytest.MonkeyPatch):
     def no_space(*_: object, **__: object) -> None:
         raise RecordError("cannot write observations.jsonl: no space left on device")
@@ -197,6 +200,7 @@ def test_a_full_disk_brings_the_drone_home(rehearsal: Rehearsal, monkeypatch: py
     assert result.is_landed
 
 
+@pytest.mark.flights
 def test_the_pilot_takes_over_and_gives_back(rehearsal: Rehearsal):
     """POSCTL ends our control; OFFBOARD, chosen at another station, gives it back."""
     port = free_udp_port()
@@ -250,6 +254,7 @@ def test_an_interrupt_before_take_off_flies_nothing(rehearsal: Rehearsal):
     assert "armed" not in rehearsal.audience.kinds
 
 
+@pytest.mark.flights
 def test_the_pilot_wins_during_take_off_too(rehearsal: Rehearsal):
     def give_up(kind: str) -> None:
         if kind == "control taken":
@@ -263,6 +268,7 @@ def test_the_pilot_wins_during_take_off_too(rehearsal: Rehearsal):
     assert "homecoming" not in rehearsal.audience.kinds
 
 
+@pytest.mark.flights
 def test_a_pilot_whose_link_is_silent_for_a_while_is_not_fought(rehearsal: Rehearsal):
     def ask_twice() -> None:
         rehearsal.interrupts.request()
@@ -278,6 +284,7 @@ def test_a_pilot_whose_link_is_silent_for_a_while_is_not_fought(rehearsal: Rehea
     assert "homecoming" not in rehearsal.audience.kinds
 
 
+@pytest.mark.flights
 def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
     """Commands that are not heard: setpoints stop for the vehicle, which flies home by itself."""
     result = rehearsal.fly("--fault", "deaf@40")
@@ -287,6 +294,7 @@ def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
     assert "homecoming" not in rehearsal.audience.kinds
 
 
+@pytest.mark.flights
 def test_lost_gps_ends_the_patrol(rehearsal: Rehearsal):
     """Without it the vehicle can only hover; it is brought home once it has it again."""
     result = rehearsal.fly("--fault", "gps@40+60")

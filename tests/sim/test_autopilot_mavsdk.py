@@ -12,12 +12,12 @@ from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
-from conftest import StartMockVehicle, free_udp_port
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
 from mavsdk.asyncio.plugins.offboard import OffboardAsync, PositionNedYaw, VelocityNedYaw
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from simulated_vehicle import StartMockVehicle, free_udp_port
 
 SPEED_UP = 20.0
 OFFBOARD, LOITER, RTL = 6 << 16, 4 << 16 | 3 << 24, 4 << 16 | 5 << 24
