@@ -47,13 +47,13 @@ def test_animals_is_the_papers_experiment():
         ("name: Bella", "name: Zuri", 11, ["targets[1].name", "target 1"]),
         ("{name: Bella, ", "{", 10, ["targets[0].name", "is missing"]),
         ("name: animals", "nome: animals", 2, ["nome", "did you mean `name`"]),
-        ("seed: 0", "seed: 0\n  seed: 1", 15, ["seed", "given twice"]),
+        ("seed: 0", "seed: 0\n  seed: 1", 17, ["seed", "given twice"]),
         ("prior_au: simulated", "prior_au: [2, 3]", 10, ["targets[0].prior_au"]),
         ("side_m: 200", "latitude_deg: 3", 3, ["area", "longitude_deg"]),
         ("horizon_au: 30", "horizon_au: 30\n  horizon_min: 3", 5, ["flight", "not both"]),
         ("targets:", "targets: [", 10, ["not valid YAML"]),
-        ("simulation:", "vehicle:\n  url: 14540\nsimulation:", 14, ["vehicle.url"]),
-        ("simulation:", "vehicle: {url: 'udp:1'}\nsimulation:", 13, ["vehicle", "udpin://"]),
+        ("simulation:", "vehicle:\n  url: 14540\nsimulation:", 16, ["vehicle.url"]),
+        ("simulation:", "vehicle: {url: 'udp:1'}\nsimulation:", 15, ["vehicle", "udpin://"]),
     ],
 )
 def test_message_names_line_and_key(
