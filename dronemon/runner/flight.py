@@ -13,7 +13,7 @@ import torch
 
 from dronemon.belief import Belief, Matern32
 from dronemon.camera import FrameSource
-from dronemon.errors import ControlTaken, DronemonError, MissionFileError
+from dronemon.errors import ControlTaken, DronemonError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import Mission, MissionFile
 from dronemon.mission.load import battery_problem
@@ -214,8 +214,7 @@ class _Flight:
         """Refuse an area that is too far from here for the battery. Raises MissionFileError."""
         away_m = math.dist(self._link.pose.position_ned_m[:2], frame.centre_ned_m)
         if problem := battery_problem(self._mission, away_m):
-            error: MissionFileError = self._file.error(("area", "latitude_deg"), problem)
-            raise error
+            raise self._file.error(("area", "latitude_deg"), problem)
 
     def _draw_start_and_roadmap(self) -> tuple[FloatArray, Roadmap]:
         seed, mission = self._mission.simulation.seed, self._mission
