@@ -286,8 +286,9 @@ def rows_of_a_broken_file(path: Path) -> int:
 
 
 FLIGHT = """
-import signal, sys
+import faulthandler, signal, sys
 from pathlib import Path
+faulthandler.dump_traceback_later(25.0)  # longer than closing may take: says where it hangs
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored under a background shell
 path, repository, tests, port = sys.argv[1:]
 sys.path[:0] = [repository, tests]
@@ -305,7 +306,7 @@ def start_flight(path: Path, port: str) -> subprocess.Popen[str]:
         [sys.executable, "-c", FLIGHT, path, REPOSITORY, Path(__file__).parent, port],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         text=True,
     )
     assert child.stdout is not None
@@ -314,9 +315,13 @@ def start_flight(path: Path, port: str) -> subprocess.Popen[str]:
 
 
 def end_flight(child: subprocess.Popen[str], number: signal.Signals) -> None:
-    with child:
-        child.send_signal(number)
-        child.wait(20.0)
+    """Signal it and wait: closing may take 20 s where a disk is slow to sync."""
+    child.send_signal(number)
+    try:
+        child.communicate(timeout=60.0)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        pytest.fail(f"did not end after {number.name}:\n{child.communicate()[1]}")
 
 
 def test_an_interrupted_flight_leaves_a_whole_recording(tmp_path: Path) -> None:
