@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -34,6 +33,7 @@ from dronemon.training.imitation import Expert, ExpertConfig
 from dronemon.training.peers import Peers, join_peers, own_device
 from dronemon.training.ppo import Ppo, PpoConfig
 from dronemon.training.validation import FIRST_SEED, validate
+from dronemon.version import code_version
 
 METRICS: dict[str, str] = {
     "iteration": "iterations of the recipe so far",
@@ -273,7 +273,7 @@ def _keep(
     card = Card(
         recipe=plan.recipe,
         command=command,
-        commit=_commit(),
+        commit=code_version(),
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
         seeds=(
             f"root {plan.seed}; chosen on {FIRST_SEED} to"
@@ -292,19 +292,3 @@ def _forget_lines(path: Path, count: int) -> None:
     if path.exists():
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
         path.write_text("".join(lines[:count]), encoding="utf-8")
-
-
-def _commit() -> str:
-    """Commit of the code that runs, if it lies in a checkout."""
-    try:
-        result = subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=10.0,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return result.stdout.strip()
