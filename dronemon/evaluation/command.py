@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, TypeVar, cast
@@ -24,6 +26,8 @@ from dronemon.evaluation.options import (
 
 T = TypeVar("T")
 DEFAULT_INSTANCES = 16
+INTERRUPTED = 130
+"""Exit code of a run that was told to stop, as a shell's for Ctrl-C."""
 
 
 def evaluate_command(
@@ -94,10 +98,29 @@ def evaluate_command(
         workers=workers if workers is not None else available_workers(),
     )
     console = Console()
-    evaluate(options, console)
+    try:
+        with _sigterm_as_ctrl_c():
+            evaluate(options, console)
+    except KeyboardInterrupt:
+        Console(stderr=True).print(
+            f"stopped; finished episodes are in {out}, and the same command goes on from there",
+            soft_wrap=True,
+            markup=False,
+        )
+        raise typer.Exit(INTERRUPTED) from None
     console.print(
         f"{out / 'table.md'}: tables; figures and results beside it", soft_wrap=True, markup=False
     )
+
+
+@contextmanager
+def _sigterm_as_ctrl_c() -> Iterator[None]:
+    """Raise KeyboardInterrupt on SIGTERM too."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _each(text: str, option: str, read: Callable[[str], T]) -> tuple[T, ...]:

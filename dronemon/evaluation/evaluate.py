@@ -5,12 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,7 @@ from dronemon.evaluation.options import Key, Options, PlannerSpec, Task
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, ResultsFile
 from dronemon.planner import Planner
+from dronemon.version import code_version
 from dronemon.world import Instance
 
 
@@ -32,7 +35,7 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
 
     The folder gets results.jsonl, table.csv, table.md, paired.csv, figures, and with
     `save_episodes` one file of arrays per episode. A run that was killed, or is given more
-    instances, goes on where it was.
+    instances, goes on where it was; episodes that other code flew are kept, with a warning.
 
     Raises OptionError, RecordError, and what planners raise.
     """
@@ -45,9 +48,11 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
     results = file.load()
     tasks = list(options.tasks())
     missing = [task for task in tasks if not _is_done(task, results, options)]
-    with _progress(console) as progress:
+    again = set(missing)
+    _warn_of_other_code([results[task.key] for task in tasks if task not in again], file, console)
+    with _progress(console) as progress, closing(_fly_all(missing, options)) as flown:
         bar = progress.add_task("episodes", total=len(tasks), completed=len(tasks) - len(missing))
-        for result in _fly_all(missing, options):
+        for result in flown:
             file.append(result)
             results[result.key] = result
             progress.advance(bar)
@@ -87,6 +92,20 @@ def _draw(results: Sequence[Result], options: Options) -> None:
     draw_overview(episode, instant, f"{method}: {title}", options.out / "overview.png")
 
 
+def _warn_of_other_code(kept: Sequence[Result], file: ResultsFile, console: Console) -> None:
+    """Say so if finished episodes that this run takes over were not flown by the code that runs."""
+    others = [result.code for result in kept if result.code != code_version()]
+    if others:
+        console.print(
+            f"warning: {len(others)} finished episodes in {file.path} were flown by other code "
+            f"({' and '.join(sorted(set(others)))}; running now: {code_version()}); they are kept, "
+            "and the tables name every version. To measure this code alone, take a fresh --out",
+            style="yellow",
+            soft_wrap=True,
+            markup=False,
+        )
+
+
 def _is_done(task: Task, results: dict[Key, Result], options: Options) -> bool:
     path = _episode_path(task, options)
     return task.key in results and (path is None or path.is_file())
@@ -103,20 +122,23 @@ def _planner(spec: PlannerSpec, settings: str) -> Planner:
     return spec.create()
 
 
-def _fly_all(tasks: Sequence[Task], options: Options) -> Iterator[Result]:
+def _fly_all(tasks: Sequence[Task], options: Options) -> Generator[Result]:
     """Fly episodes, in this process or in several, and give each result when it is there."""
+    run = partial(_run, code=code_version())
     paths = [_episode_path(task, options) for task in tasks]
     if options.workers == 1 or len(tasks) < 2:
         with _one_thread():
-            yield from map(_run, tasks, paths)
+            yield from map(run, tasks, paths)
         return
+    wanted, want = Pipe(duplex=False)
     pool = ProcessPoolExecutor(
         max_workers=min(options.workers, len(tasks)),
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_prepare_worker,
+        initargs=(wanted,),
     )
     try:
-        futures = [pool.submit(_run, *pair) for pair in zip(tasks, paths, strict=True)]
+        futures = [pool.submit(run, *pair) for pair in zip(tasks, paths, strict=True)]
         for future in as_completed(futures):
             yield future.result()
     except BrokenProcessPool as exc:
@@ -125,10 +147,12 @@ def _fly_all(tasks: Sequence[Task], options: Options) -> Iterator[Result]:
             "command goes on where this run was, --workers sets how many there are"
         ) from exc
     finally:
+        want.close()
         pool.shutdown(cancel_futures=True)
+        wanted.close()
 
 
-def _run(task: Task, path: Path | None) -> Result:
+def _run(task: Task, path: Path | None, *, code: str) -> Result:
     """Fly and score one episode, and keep its arrays if a path is given."""
     episode = fly_task(task)
     metrics = episode.metrics()
@@ -154,13 +178,24 @@ def _run(task: Task, path: Path | None) -> Result:
         unc_over_time=tuple(metrics.unc[1:].mean(axis=1).round(5).tolist()),
         decisions=len(episode.decisions_s),
         decision_s=float(episode.decisions_s.mean()),
+        code=code,
     )
 
 
-def _prepare_worker() -> None:
-    """One thread per process, and interrupts only for the parent, which ends the others."""
+def _prepare_worker(wanted: Connection) -> None:
+    """One thread per process, and interrupts only for the parent, which ends the others.
+
+    wanted: pipe whose other end the parent alone holds: closed when the run ends, also by SIGKILL
+    """
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_when_unwanted, args=(wanted,), daemon=True).start()
+
+
+def _end_when_unwanted(wanted: Connection) -> None:
+    """End this process, in whatever it does, when the other end is closed."""
+    wanted.poll(None)
+    os._exit(0)
 
 
 @contextmanager

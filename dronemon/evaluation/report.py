@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from dronemon import __version__
 from dronemon.evaluation.options import Cell
 from dronemon.evaluation.results import Result
 from dronemon.evaluation.tables import (
@@ -46,13 +45,14 @@ def write_tables(results: Sequence[Result], out: Path, command: str) -> None:
     _write_csv(out / "table.csv", _table_records([*rows, *_renamed(published)]))
     _write_csv(out / "paired.csv", _difference_records(differences))
     seeds = [result.seed for result in results]
+    codes = sorted({result.code for result in results})
     title = [
         "# Evaluation",
         "",
         f"`{command}`",
         "",
-        f"dronemon {__version__}; one instance per seed, {min(seeds)} to {max(seeds)}; mean ± "
-        "standard error over instances.",
+        f"dronemon {' and '.join(codes)}; one instance per seed, {min(seeds)} to {max(seeds)}; "
+        "mean ± standard error over instances.",
         "",
     ]
     body = [*_headline(rows), *_cell_tables(rows, published), *_paired(differences)]

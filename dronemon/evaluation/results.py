@@ -14,13 +14,16 @@ from dronemon.belief import Scores
 from dronemon.errors import RecordError
 from dronemon.evaluation.options import Cell, Key
 
+UNKNOWN_CODE = "unknown"
+"""Code of episodes from before results named it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
     """One finished episode.
 
     method: the planner; unc_over_time: (S,) mean over targets at each measurement; decisions: how
-    often the planner was asked; decision_s: its mean answering time
+    often the planner was asked; decision_s: its mean answering time; code: version that flew it
     """
 
     method: str
@@ -31,6 +34,7 @@ class Result:
     unc_over_time: tuple[float, ...]
     decisions: int
     decision_s: float
+    code: str
 
     @property
     def key(self) -> Key:
@@ -51,6 +55,7 @@ class Result:
             "prior": cell.prior,
             "seed": self.seed,
             "settings": self.settings,
+            "code": self.code,
             "scores": scores,
             "decisions": self.decisions,
             "decision_s": self.decision_s,
@@ -78,6 +83,7 @@ class Result:
             unc_over_time=tuple(record["unc_over_time"]),
             decisions=record["decisions"],
             decision_s=record["decision_s"],
+            code=record.get("code", UNKNOWN_CODE),
         )
 
 

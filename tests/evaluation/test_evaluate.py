@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -20,8 +21,13 @@ from dronemon.errors import OptionError, RecordError
 from dronemon.evaluation import Options, PlannerSpec, Result, evaluate
 from dronemon.evaluation.command import evaluate_command
 from dronemon.evaluation.results import ResultsFile
+from dronemon.version import code_version
 
 QUIET = Console(quiet=True)
+PROGRAM = (
+    "import typer; from dronemon.evaluation.command import evaluate_command; "
+    "app = typer.Typer(); app.command()(evaluate_command); app()"
+)
 
 
 def options(out: Path, **changes: Any) -> Options:
@@ -102,6 +108,32 @@ def test_other_settings_are_other_episodes(tmp_path: Path) -> None:
     assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 8
 
 
+def test_episodes_of_other_code_are_kept_and_named(tmp_path: Path) -> None:
+    first = evaluate(options(tmp_path), QUIET)
+    assert {result.code for result in first} == {code_version()}
+    path = tmp_path / "results.jsonl"
+    records = [json.loads(line) for line in path.read_text().splitlines()]
+    records[0]["code"] = "0.1.0+0123456789"
+    del records[1]["code"]  # as written before results named it
+    path.write_text("".join(json.dumps(record) + "\n" for record in records))
+    console = Console(file=io.StringIO())
+    again = evaluate(options(tmp_path, instances=3), console)
+    assert outcome(again)[:4] == outcome(first)
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    assert printed.startswith("warning: 2 finished episodes in ")
+    assert f"(0.1.0+0123456789 and unknown; running now: {code_version()})" in printed
+    assert "take a fresh --out" in printed
+    versions = " and ".join(sorted({"0.1.0+0123456789", "unknown", code_version()}))
+    assert f"\ndronemon {versions}; one" in (tmp_path / "table.md").read_text()
+
+
+def test_episodes_of_the_same_code_give_no_warning(tmp_path: Path) -> None:
+    evaluate(options(tmp_path), QUIET)
+    console = Console(file=io.StringIO())
+    evaluate(options(tmp_path), console)
+    assert "warning" not in console.file.getvalue()  # type: ignore[attr-defined]
+
+
 def test_damaged_line_is_named(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     path.write_text('{"method": "tsp"}\n')
@@ -109,28 +141,32 @@ def test_damaged_line_is_named(tmp_path: Path) -> None:
         evaluate(options(tmp_path), QUIET)
 
 
-def test_killed_run_goes_on_where_it_was(tmp_path: Path) -> None:
-    out, log = tmp_path / "out", tmp_path / "log"
-    arguments = ["--planner", "tsp", "--targets", "2", "--speed", "1/10", "--workers", "1"]
-    arguments += ["--instances", "400", "--first-seed", "10000", "--horizon", "2", "--nodes", "20"]
-    program = (
-        "import typer; from dronemon.evaluation.command import evaluate_command; "
-        "app = typer.Typer(); app.command()(evaluate_command); app()"
-    )
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-c", program, *arguments, "--out", str(out)],
-            stdout=output,
-            stderr=output,
-            start_new_session=True,
-        )
-        path = out / "results.jsonl"
+@pytest.mark.parametrize(
+    ("end", "exit_code"), [(signal.SIGTERM, 130), (signal.SIGKILL, -signal.SIGKILL)]
+)
+def test_run_that_was_ended_leaves_no_process_and_goes_on_where_it_was(
+    tmp_path: Path, end: signal.Signals, exit_code: int
+) -> None:
+    arguments = ["--planner", "tsp", "--targets", "2", "--speed", "1/10", "--workers", "2"]
+    arguments += ["--instances", "4000", "--first-seed", "10000", "--horizon", "2", "--nodes", "20"]
+    out = tmp_path / "out"
+    path = out / "results.jsonl"
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *arguments, "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
         while process.poll() is None and (not path.exists() or path.stat().st_size < 2000):
             os.sched_yield()
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        process.send_signal(end)
+        said, _ = process.communicate(timeout=30.0)  # until all who hold the pipe are gone
+    assert process.returncode == exit_code, said
+    if end == signal.SIGTERM:
+        assert said.splitlines()[-1].startswith(f"stopped; finished episodes are in {out}"), said
+        assert "Traceback" not in said
     done = len(ResultsFile(path).load())
-    assert 0 < done < 400, log.read_text()
+    assert 0 < done < 4000, said
     kept = path.read_bytes()
     wanted = options(out, planners=(PlannerSpec(kind="tsp"),), instances=done + 2)
     results = evaluate(wanted, QUIET)

@@ -27,7 +27,14 @@ OTHER = Cell(prior="full", num_targets=4, speed_ratio=Fraction(1, 10))
 
 
 def result(
-    method: str, seed: int, unc: float, *, cell: Cell = CELL, min_ob: int = 5, jsd: float = 0.2
+    method: str,
+    seed: int,
+    unc: float,
+    *,
+    cell: Cell = CELL,
+    min_ob: int = 5,
+    jsd: float = 0.2,
+    code: str = "0.1.0+aaaaaaaaaa",
 ) -> Result:
     return Result(
         method=method,
@@ -46,6 +53,7 @@ def result(
         unc_over_time=(unc,),
         decisions=10,
         decision_s=0.002,
+        code=code,
     )
 
 
@@ -166,3 +174,10 @@ def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
     assert "`dronemon evaluate --table1`" in text
     assert "paper: STAMP" in text
     assert "search minus clairvoyant-search | 16 | 0.050 ± 0.000" in text
+    assert "\ndronemon 0.1.0+aaaaaaaaaa; one instance per seed, 0 to 1" in text
+
+
+def test_tables_name_every_code_that_took_part(tmp_path: Path) -> None:
+    mixed = [result("tsp", seed, 0.5, code=f"0.1.0+{letter}") for seed, letter in enumerate("bab")]
+    write_tables(mixed, tmp_path, "dronemon evaluate")
+    assert "\ndronemon 0.1.0+a and 0.1.0+b; one" in (tmp_path / "table.md").read_text()
