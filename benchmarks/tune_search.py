@@ -28,7 +28,7 @@ ABLATIONS = (
     "num_refined=0,num_drawn=350",
     "guided_share=0",
     "sight_gain=0",
-    "miss_cost=0",
+    "shape_worth=0",
     "drift=0",
     "walk_au=10",
     "trail_doubt=0",

@@ -9,8 +9,10 @@ from the targets' surroundings, as the metric Unc counts it:
     Age grows as time passes; a measurement near the probe makes it younger.
   * `worth[age]` is the certainty that a probe of that age will still enjoy, summed over the future;
     a measurement gains the difference.
-  * A sighting also gains by what it tells of the place, and a miss near a target costs, because a 0
-    close to it bends the belief's peak (the metric JSD).
+  * A sighting also gains by what it tells of the place. A miss sets the belief's mean to 0 where it
+    is taken: that gains where the mean is false, as on the trail of old sightings behind a target,
+    and costs near the target, where it bends the peak (the metric JSD). With mean mu there, and
+    p the presence that the target's distance would give, squared error falls by mu (mu - 2 p).
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ Int32Array = NDArray[np.int32]
 
 LENGTH_SCALE_AU = 0.1
 TIME_SCALE_AU = 3.0
+PRESENCE_AU = 0.1
+"""Spread of a target's presence as the metric JSD counts it."""
 AGES_PER_STEP = 4
 NUM_AGES = 256
 OLDEST = 127
@@ -43,6 +47,24 @@ _NEAR = 0.05
 _ARRIVED_AU = 0.05
 NEAREST_CELLS = 64
 """Cells along each axis of the table of nearest nodes."""
+MEAN_CELLS = 48
+"""Cells along each axis of the fields of posterior means."""
+_MEAN_REACH_AU = 0.7
+"""Data farther from a cell, age counted, do not show in its mean: the kernel is below 1e-4."""
+_MEAN_BINS = 8192
+_MEAN_JITTER = 1e-6
+
+
+def _matern(distance: FloatArray) -> FloatArray:
+    scaled = math.sqrt(3.0) * distance
+    kernel: FloatArray = (1.0 + scaled) * np.exp(-scaled)
+    return kernel
+
+
+_MATERN_AT = _matern(
+    np.sqrt((np.arange(_MEAN_BINS) + 0.5) / _MEAN_BINS) * _MEAN_REACH_AU / LENGTH_SCALE_AU
+)
+"""The kernel by squared distance, in bins to `_MEAN_REACH_AU`."""
 
 
 class Tables(NamedTuple):
@@ -50,14 +72,14 @@ class Tables(NamedTuple):
 
     age_at: (B,) equivalent age of a probe measured at a squared distance (B bins to 0.25 au);
     seen_age: of the probes of a target just seen; worth: (NUM_AGES,); known: (OLDEST + 1,) gain of
-    a sighting by the age of the last; miss_cost: at distance 0; discount: (H,)
+    a sighting by the age of the last; shape_worth: of squared error of the mean; discount: (H,)
     """
 
     age_at: Int32Array
     seen_age: int
     worth: Float32Array
     known: Float32Array
-    miss_cost: float
+    shape_worth: float
     discount: Float32Array
     probe_au: float
 
@@ -66,7 +88,8 @@ class Scene(NamedTuple):
     """What a path is scored in. P particles, those of a target beside each other.
 
     x, y: (H, P) at each of the next measurements; weight: (P,); probe_age: (P, 4) and
-    sight_age: (P,) now; first: (N + 1,) each target's first particle
+    sight_age: (P,) now; first: (N + 1,) each target's first particle; mean: (N, C, C) posterior
+    mean now of each target's presence, in the cells of the square
     """
 
     x: Float32Array
@@ -75,6 +98,7 @@ class Scene(NamedTuple):
     probe_age: Int32Array
     sight_age: Int32Array
     first: IntArray
+    mean: Float32Array
 
 
 class Ground(NamedTuple):
@@ -119,7 +143,7 @@ def make_tables(
     probe_au: float,
     sight_gain: float,
     forget_steps: float,
-    miss_cost: float,
+    shape_worth: float,
 ) -> Tables:
     """Build the tables for a believed speed of the targets; names as in `SearchSettings`."""
     age_au = np.arange(NUM_AGES) / AGES_PER_STEP * MEASUREMENT_INTERVAL_AU
@@ -141,16 +165,11 @@ def make_tables(
         known=(
             sight_gain * forget_steps * (1.0 - np.exp(-np.arange(OLDEST + 1) / forget_steps))
         ).astype(np.float32),
-        miss_cost=miss_cost,
+        # A fast target soon leaves the shape behind.
+        shape_worth=shape_worth * 2.0 / (1.0 + speed * TIME_SCALE_AU / LENGTH_SCALE_AU),
         discount=(discount ** np.arange(num_steps)).astype(np.float32),
         probe_au=probe_au,
     )
-
-
-def _matern(distance: FloatArray) -> FloatArray:
-    scaled = math.sqrt(3.0) * distance
-    kernel: FloatArray = (1.0 + scaled) * np.exp(-scaled)
-    return kernel
 
 
 @njit(cache=True, fastmath=True)
@@ -182,6 +201,44 @@ def probe_ages(particles, first, points, counts, time_au, tables, out):  # type:
 
 
 @njit(cache=True, fastmath=True)
+def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untyped-def]
+    """Posterior mean now of each target's presence, cell by cell.
+
+    points: (N, n, 3) x, y, time of each target's data, the first `counts` of them; values: (N, n)
+    -> out (N, C, C)
+    """
+    size = out.shape[1]
+    squared_speed = (LENGTH_SCALE_AU / TIME_SCALE_AU) ** 2
+    scale = _MEAN_BINS / _MEAN_REACH_AU**2
+    for i in range(counts.shape[0]):
+        out[i] = 0.0
+        n = counts[i]
+        covariance = np.empty((n, n))
+        for a in range(n):
+            for b in range(a):
+                dt = points[i, a, 2] - points[i, b, 2]
+                distance = math.sqrt(
+                    (points[i, a, 0] - points[i, b, 0]) ** 2
+                    + (points[i, a, 1] - points[i, b, 1]) ** 2
+                    + dt * dt * squared_speed
+                )
+                scaled = math.sqrt(3.0) * distance / LENGTH_SCALE_AU
+                covariance[a, b] = covariance[b, a] = (1.0 + scaled) * math.exp(-scaled)
+            covariance[a, a] = 1.0 + _MEAN_JITTER
+        weight = np.linalg.solve(covariance, values[i, :n])
+        for a in range(n):
+            dt = time_au - points[i, a, 2]
+            for c in range(size):
+                dx = (c + 0.5) / size - points[i, a, 0]
+                across = dx * dx + dt * dt * squared_speed
+                for d in range(size):
+                    dy = (d + 0.5) / size - points[i, a, 1]
+                    distance = across + dy * dy
+                    if distance < _MEAN_REACH_AU**2:
+                        out[i, c, d] += weight[a] * _MATERN_AT[int(distance * scale)]
+
+
+@njit(cache=True, fastmath=True)
 def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untyped-def]
     """What a path gains. path: (H, 2); the last three arrays are scratch, as scene's of their size.
 
@@ -191,7 +248,8 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
     sight[:] = scene.sight_age
     rho = np.float32(tables.probe_au)
     scale = np.float32(_REACH_BINS / _REACH_AU**2)
-    miss_cost = np.float32(tables.miss_cost)
+    shape_worth = np.float32(tables.shape_worth)
+    size = scene.mean.shape[1]
     total = 0.0
     for k in range(path.shape[0]):
         passed = k + 1
@@ -200,33 +258,36 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
             dx, dy = scene.x[k, p] - ax, scene.y[k, p] - ay
             squared[p] = dx * dx + dy * dy
         gained = np.float32(0.0)
-        for p in range(squared.shape[0]):
-            if squared[p] >= _NEAR:
-                continue
-            gain = np.float32(0.0)
-            if squared[p] < SENSOR_RADIUS_AU**2:
-                age = tables.seen_age
-                for q in range(4):
-                    old = min(probe[p, q] + AGES_PER_STEP * passed, NUM_AGES - 1)
-                    if age < old:
-                        gain += tables.worth[age] - tables.worth[old]
-                        probe[p, q] = age - AGES_PER_STEP * passed
-                gain += tables.known[min(sight[p] + passed, OLDEST)]
-                sight[p] = -passed
-            else:
-                gain -= miss_cost * math.exp(np.float32(-50.0) * squared[p])
-                dx, dy = scene.x[k, p] - ax, scene.y[k, p] - ay
-                for q in range(4):
-                    qx = dx + (rho if q == 0 else (-rho if q == 1 else np.float32(0.0)))
-                    qy = dy + (rho if q == 2 else (-rho if q == 3 else np.float32(0.0)))
-                    bin_ = int((qx * qx + qy * qy) * scale)
-                    if bin_ < _REACH_BINS:
-                        age = tables.age_at[bin_]
+        cx, cy = min(int(ax * size), size - 1), min(int(ay * size), size - 1)
+        for i in range(scene.mean.shape[0]):
+            mean = scene.mean[i, cx, cy]
+            cleared = shape_worth * mean * mean
+            for p in range(scene.first[i], scene.first[i + 1]):
+                gain = cleared
+                if squared[p] < SENSOR_RADIUS_AU**2:
+                    age = tables.seen_age
+                    for q in range(4):
                         old = min(probe[p, q] + AGES_PER_STEP * passed, NUM_AGES - 1)
                         if age < old:
                             gain += tables.worth[age] - tables.worth[old]
                             probe[p, q] = age - AGES_PER_STEP * passed
-            gained += gain * scene.weight[p]
+                    gain += tables.known[min(sight[p] + passed, OLDEST)] - cleared
+                    sight[p] = -passed
+                elif squared[p] < _NEAR:
+                    presence = math.exp(np.float32(-0.5 / PRESENCE_AU**2) * squared[p])
+                    gain -= np.float32(2.0) * shape_worth * mean * presence
+                    dx, dy = scene.x[k, p] - ax, scene.y[k, p] - ay
+                    for q in range(4):
+                        qx = dx + (rho if q == 0 else (-rho if q == 1 else np.float32(0.0)))
+                        qy = dy + (rho if q == 2 else (-rho if q == 3 else np.float32(0.0)))
+                        bin_ = int((qx * qx + qy * qy) * scale)
+                        if bin_ < _REACH_BINS:
+                            age = tables.age_at[bin_]
+                            old = min(probe[p, q] + AGES_PER_STEP * passed, NUM_AGES - 1)
+                            if age < old:
+                                gain += tables.worth[age] - tables.worth[old]
+                                probe[p, q] = age - AGES_PER_STEP * passed
+                gained += gain * scene.weight[p]
         total += tables.discount[k] * gained
     return total
 

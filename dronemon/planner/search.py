@@ -34,7 +34,7 @@ class SearchSettings:
     Found by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
     """
 
-    num_steps: int = 22
+    num_steps: int = 26
     """Longest horizon, in measurements."""
     walk_au: float = 0.18
     """Walk of a target after which its place is a guess; the horizon ends there at the latest."""
@@ -46,7 +46,7 @@ class SearchSettings:
     """Most particles of each target that paths are scored against."""
     num_planned_in_all: int = 240
     """Most particles of all targets; bounds the time of a decision."""
-    discount: float = 0.975
+    discount: float = 0.985
     """Worth of a gain one measurement later."""
     fading: float = 0.985
     """Worth of certainty that lasts one measurement longer."""
@@ -58,8 +58,8 @@ class SearchSettings:
     """Worth of having seen a target, for each measurement that the knowledge lasts."""
     forget_steps: float = 25.0
     """Measurements in which that knowledge fades to 1/e."""
-    miss_cost: float = 0.8
-    """Cost of a miss at a target, falling off as the belief's peak does."""
+    shape_worth: float = 2.5
+    """Worth of a belief's mean nearer to its target's presence, per squared error at r_v = 1/30."""
     guided_share: float = 0.7
     """Paths whose goals are drawn by urgency and nearness, rather than at random."""
     greed: float = 6.0
@@ -103,7 +103,7 @@ class SearchSettings:
             probe_au=self.probe_au,
             sight_gain=self.sight_gain,
             forget_steps=self.forget_steps,
-            miss_cost=self.miss_cost,
+            shape_worth=self.shape_worth,
         )
 
 
@@ -130,21 +130,24 @@ class _Evidence:
         for index in np.flatnonzero(measurement.seen):
             self.seen_au[index] = measurement.time_au
 
-    def points(self, time_au: float, num_targets: int) -> tuple[FloatArray, IntArray]:
-        """Each target's data, and how many. -> (N, n, 3) x, y, time; (N,)."""
+    def points(self, time_au: float, num_targets: int) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Each target's data, and how many. -> (N, n, 3) x, y, time; (N, n) presence; (N,)."""
         num_points = len(self._measurements)
         points = np.zeros((num_targets, num_points + 1, 3))
+        values = np.zeros((num_targets, num_points + 1))
         for m, measurement in enumerate(self._measurements):
             points[:, m, :2] = measurement.agent_au
             points[:, m, 2] = measurement.time_au
             for seen in measurement.seen.nonzero()[0]:
                 points[seen, m, :2] = measurement.target_au[seen]
+                values[seen, m] = 1.0
         counts = np.full(num_targets, num_points)
         for i, prior in enumerate(self._priors):
             if prior and time_au < _WINDOW_AU:
                 points[i, num_points] = prior[0]
+                values[i, num_points] = 1.0
                 counts[i] += 1
-        return points, counts
+        return points, values, counts
 
 
 class SearchPlanner:
@@ -238,7 +241,9 @@ class SearchPlanner:
         num_targets, num_each = now.shape[:2]
         tables = self.settings.tables(speed)
         first = np.arange(num_targets + 1) * num_each
-        points, counts = self._evidence.points(time_au, num_targets)
+        points, values, counts = self._evidence.points(time_au, num_targets)
+        mean = np.empty((num_targets, paths.MEAN_CELLS, paths.MEAN_CELLS), dtype=np.float32)
+        paths.mean_fields(points, values, counts, time_au, mean)
         probe_age = np.empty((num_targets * num_each, 4), dtype=np.int32)
         paths.probe_ages(
             np.ascontiguousarray(now.reshape(-1, 2)),
@@ -260,6 +265,7 @@ class SearchPlanner:
             probe_age=probe_age,
             sight_age=np.repeat(since.clip(0, paths.OLDEST), num_each).astype(np.int32),
             first=first,
+            mean=mean,
         )
         found: tuple[float, FloatArray, FloatArray, int, int, FloatArray] = paths.search(
             start,

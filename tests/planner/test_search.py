@@ -80,12 +80,12 @@ def test_same_seed_flies_the_same_path():
 
 
 def test_finds_targets_whose_places_are_unknown():
-    _, seen = fly(SearchPlanner(QUICK), prior="number", length_au=15.0)
+    _, seen = fly(SearchPlanner(), prior="number", length_au=15.0)
     assert seen.any(axis=0).all()
 
 
 def test_finds_targets_of_which_nothing_is_known():
-    _, seen = fly(SearchPlanner(QUICK), prior="none", length_au=15.0)
+    _, seen = fly(SearchPlanner(), prior="none", length_au=15.0)
     assert seen.any(axis=0).all()
 
 
