@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
+
+from dronemon.belief.compiled import fill
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,13 +26,13 @@ class Matern32:
 
         a: (..., n, 3) au; b: (..., m, 3) au -> (..., n, m) in [0, 1].
         """
-        if _is_compiled(a):
+        if is_compiled(a):
             batch = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
             a = a.expand(*batch, *a.shape[-2:])
             sets = b.expand(*batch, *b.shape[-2:]).reshape(math.prod(batch), *b.shape[-2:])
             index = torch.arange(len(sets)).repeat_interleave(a.shape[-2])
             return self.each(a.reshape(-1, 3), sets, index).view(*a.shape[:-1], b.shape[-2])
-        scale = self._scale(a)
+        scale = self.scale(a)
         # The matrix-product form of the distance would lose half the digits of nearby points.
         r = torch.cdist(a * scale, b * scale, compute_mode="donot_use_mm_for_euclid_dist")
         decay = r.neg_().exp()
@@ -42,47 +43,19 @@ class Matern32:
 
         points: (k, 3) au; sets: (B, m, 3) au; index: (k,) which set -> (k, m) in [0, 1].
         """
-        if not _is_compiled(points):
+        if not is_compiled(points):
             return self(points[:, None], sets[index])[:, 0]
-        scale = self._scale(points)
+        scale = self.scale(points)
         out = points.new_empty(len(points), sets.shape[1])
         scaled = (sets * scale).mT.contiguous()
-        _fill((points * scale).numpy(), scaled.numpy(), index.numpy(), out.numpy())
+        fill((points * scale).numpy(), scaled.numpy(), index.numpy(), out.numpy())
         return out
 
-    def _scale(self, like: Tensor) -> Tensor:
+    def scale(self, like: Tensor) -> Tensor:
         """Factor that turns au into the distance r. -> (3,)."""
         return like.new_tensor([math.sqrt(3.0) / length_au for length_au in self.length_scales_au])
 
 
-def _is_compiled(points: Tensor) -> bool:
+def is_compiled(points: Tensor) -> bool:
     """Whether points are where the compiled loop works: ten times as fast as torch's operations."""
     return points.device.type == "cpu" and points.dtype == torch.float64
-
-
-_TAYLOR = tuple(1.0 / math.factorial(k) for k in range(13))
-_LOG2_E, _LN_2 = 1.0 / math.log(2.0), math.log(2.0)
-_BIAS, _MANTISSA = 1023, 2.0**52
-
-
-@njit(cache=True, fastmath={"contract"}, error_model="numpy", nogil=True)
-def _fill(points, sets, index, out):  # type: ignore[no-untyped-def]
-    """Write (1 + r) exp(-r) to out. points: (k, 3); sets: (B, 3, m); index: (k,); out: (k, m).
-
-    exp(-r) = 2^i exp(f), |f| <= ln(2) / 2, in arithmetic that the compiler turns into vectors,
-    which it would not with a library's function; right to the last digits.
-    """
-    for row in range(points.shape[0]):
-        x, y, t = points[row]
-        which = index[row]
-        for j in range(sets.shape[2]):
-            dx, dy, dt = sets[which, 0, j] - x, sets[which, 1, j] - y, sets[which, 2, j] - t
-            r = np.sqrt(dx * dx + dy * dy + dt * dt)
-            z = max(-r * _LOG2_E, -float(_BIAS))  # where the power's bits are those of 0
-            i = np.floor(z + 0.5)
-            f = (z - i) * _LN_2
-            series = _TAYLOR[12]
-            for power in range(11, -1, -1):
-                series = series * f + _TAYLOR[power]
-            power_of_two = np.int64((i + _BIAS) * _MANTISSA).view(np.float64)
-            out[row, j] = (1.0 + r) * series * power_of_two

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 
-from dronemon.belief import Matern32, fit
+from dronemon.belief import Matern32, fit, gp
 from dronemon.errors import BeliefError
 
 BATCH, NUM_OBSERVATIONS, NUM_QUERY = 3, 60, 150
@@ -30,9 +30,9 @@ def observations(num_targets, seed=0, batch=BATCH, num_observations=NUM_OBSERVAT
     )
 
 
-def query(*shape, seed=1):
-    points = np.random.default_rng(seed).random((*shape, NUM_QUERY, 3))
-    points[..., 2] = 6.0 + 2.0 * (np.arange(NUM_QUERY) % 2)
+def query(*shape, seed=1, num_query=NUM_QUERY):
+    points = np.random.default_rng(seed).random((*shape, num_query, 3))
+    points[..., 2] = 6.0 + 2.0 * (np.arange(num_query) % 2)
     return torch.as_tensor(points)
 
 
@@ -65,6 +65,24 @@ def test_posterior_equals_direct_solution():
     torch.testing.assert_close(mean, (cross.mT @ solved[..., :1])[..., 0], rtol=0, atol=1e-8)
     variance = 1.0 - (cross * solved[..., 1:]).sum(-2)
     torch.testing.assert_close(std.square(), variance, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("num_targets", [1, 4, 12])
+@pytest.mark.parametrize(("num_observations", "num_query"), [(1, 1), (6, 7), (61, 1100)])
+@pytest.mark.parametrize("num_sets", [1, "one for each target"])
+def test_compiled_equals_batched(monkeypatch, num_targets, num_observations, num_query, num_sets):
+    points, values, mask = observations(num_targets, num_observations=num_observations)
+    mask[0, -1] = False  # a target that is not believed in
+    points = torch.where(mask[..., None], points, torch.nan)
+    at = query(BATCH, 1 if num_sets == 1 else num_targets, num_query=num_query)
+    compiled = fit(points, values, mask)
+    monkeypatch.setattr(gp, "is_compiled", lambda _: False)
+    batched = fit(points, values, mask)
+    assert type(compiled.groups[0]) is not type(batched.groups[0])
+    expected = batched.predict(at)
+    torch.testing.assert_close(compiled.predict(at), expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(compiled.mean(at), expected[0], rtol=0, atol=1e-12)
+    torch.testing.assert_close(compiled.std(at), expected[1], rtol=0, atol=1e-12)
 
 
 def test_common_query_equals_one_for_each_target():
@@ -152,10 +170,11 @@ def test_single_precision_is_near_double_precision():
 
 
 @pytest.mark.parametrize("fault", [torch.nan, torch.inf])
-def test_observation_that_is_not_finite_is_an_error(fault):
+@pytest.mark.parametrize(("target", "count"), [(1, 1), (slice(None), 2)])
+def test_observation_that_is_not_finite_is_an_error(fault, target, count):
     points, values, mask = observations(2)
-    points[1, 1, 7, 0] = fault
-    with pytest.raises(BeliefError, match="not positive definite"):
+    points[1, target, 7, 0] = fault
+    with pytest.raises(BeliefError, match=f"{count} of 6 .* not positive definite"):
         fit(points, values, torch.ones_like(mask))
 
 
