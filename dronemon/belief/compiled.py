@@ -7,7 +7,9 @@ for the queries and for all points that only some targets have ("others", each l
     D' D = K(own, own) - a' a     for each target, of those others that are its own, a out of A
 
 All elimination goes by blocks of four rows, along contiguous columns, whose number is a multiple
-of a vector's length: the compiler turns these loops into vectors. Diagonals hold reciprocals.
+of a vector's length. The compiler turns these loops into vectors, provided that they begin at 0,
+that their end is not a constant, and that single numbers are not taken out of slices. Diagonals
+hold reciprocals.
 
 Source: Rasmussen & Williams (2006), algorithm 2.1.
 """
@@ -132,14 +134,14 @@ def _covariance(dx, dy, dt):
 def fill(points, sets, index, out):
     """Write covariances to out. points: (k, 3); sets: (B, 3, m); index: (k,); out: (k, m)."""
     for row in range(points.shape[0]):
-        _fill_row(points[row], sets[index[row]], 0, sets.shape[2], out[row])
+        _fill_row(points[row], sets[index[row]], sets.shape[2], out[row])
 
 
 @_compiled()
-def _fill_row(point, columns, start, stop, out):
-    """Covariance of a point with some columns. columns: (3, m)."""
+def _fill_row(point, columns, width, out):
+    """Covariance of a point with the first columns. columns: (3, m)."""
     x, y, t = point[0], point[1], point[2]
-    for j in range(start, stop):
+    for j in range(width):
         out[j] = _covariance(columns[0, j] - x, columns[1, j] - y, columns[2, j] - t)
 
 
@@ -160,21 +162,7 @@ def _arrange(points, values, mask, scale):
     is_common = np.empty(n, dtype=np.bool_)
     row_of = np.empty(num_targets, dtype=np.int64)
     for b in range(size):
-        first = num_targets
-        for i in range(num_targets - 1, -1, -1):
-            if mask[b, i].any():
-                num_own[b, i] = 0
-                first = i
-        if first == num_targets:
-            continue
-        num_common = 0
-        for k in range(n):
-            is_common[k] = mask[b, first, k]
-            for i in range(first + 1, num_targets):
-                if num_own[b, i] == 0:
-                    is_common[k] &= mask[b, i, k] and _is_same(points, b, k, i, first)
-            num_common += is_common[k]
-        num_common -= num_common % _BLOCK
+        first, num_common = _find_common(points[b], mask[b], num_own[b], is_common)
         common, row = 0, num_common
         for k in range(n):
             if is_common[k] and common < num_common:
@@ -190,7 +178,7 @@ def _arrange(points, values, mask, scale):
                     continue
                 row_of[i] = row
                 for j in range(first, i):
-                    if mask[b, j, k] and _is_same(points, b, k, i, j):
+                    if mask[b, j, k] and _is_same(points[b], k, i, j):
                         row_of[i] = row_of[j]
                         break
                 if row_of[i] == row:
@@ -205,11 +193,33 @@ def _arrange(points, values, mask, scale):
 
 
 @_compiled()
-def _is_same(points, b, k, i, j):
-    """Whether two targets of an episode have the same point in a column."""
+def _find_common(points, mask, num_own, is_common):
+    """Mark with 0 the targets that have observations, and the columns that they have in common.
+
+    -> the first such target, and how many of these columns make whole blocks.
+    """
+    num_targets, n = mask.shape
+    first = num_targets
+    for i in range(num_targets - 1, -1, -1):
+        if mask[i].any():
+            num_own[i] = 0
+            first = i
+    num_common = 0
+    for k in range(n):
+        is_common[k] = first < num_targets and mask[first, k]
+        for i in range(first + 1, num_targets):
+            if num_own[i] == 0:
+                is_common[k] &= mask[i, k] and _is_same(points, k, i, first)
+        num_common += is_common[k]
+    return first, num_common // _BLOCK * _BLOCK
+
+
+@_compiled()
+def _is_same(points, k, i, j):
+    """Whether two targets have the same point in a column. points: (N, n, 3)."""
     is_same = True
     for axis in range(3):
-        is_same &= points[b, i, k, axis] == points[b, j, k, axis]
+        is_same &= points[i, k, axis] == points[j, k, axis]
     return is_same
 
 
@@ -281,7 +291,7 @@ def _factorise_common(table, num_common, levels, jitter, columns, factor):
         for axis in range(3):
             columns[axis, row] = table[row, axis]
     for row in range(num_common):
-        _fill_row(table[row], columns, row // _VECTOR * _VECTOR, width, factor[row])
+        _fill_row(table[row], columns, width, factor[row])
         factor[row, row] += jitter
         factor[row, num_rows:width] = 0.0
         for i in range(num_targets):
@@ -305,7 +315,7 @@ def _factorise_own(table, num_common, rows, last, levels, jitter, columns, facto
     for column in range(r):
         below = part[num_common + column]
         if column < len(rows):
-            _fill_row(table[rows[column]], columns, 0, width, below)
+            _fill_row(table[rows[column]], columns, width, below)
             below[column] += jitter
             below[len(rows) : width] = 0.0
             below[r] = levels[num_common + column]
@@ -325,9 +335,8 @@ def _cholesky(x, first, last, width):
     block = np.empty((_BLOCK, _BLOCK))
     for row in range(first, last, _BLOCK):
         column = row - first
-        start = column // _VECTOR * _VECTOR
         for k in range(0, row, _BLOCK):
-            _subtract(x, k, column, x, row, start, width)
+            _subtract(x, k, column, x, row, width)
         for i in range(_BLOCK):
             for j in range(i, _BLOCK):
                 entry = x[row + i, column + j]
@@ -338,7 +347,7 @@ def _cholesky(x, first, last, width):
                     block[i, i] = 1.0 / np.sqrt(entry)
                 else:
                     block[i, j] = entry * block[i, i]
-        _divide(block, 0, 0, x, row, start, width)
+        _divide(block, 0, 0, x, row, width)
         for i in range(_BLOCK):
             for j in range(_BLOCK):
                 x[row + i, column + j] = block[i, j] if j >= i else 0.0
@@ -350,13 +359,13 @@ def _eliminate(factor, num_pivots, x, num_rows, width):
     """Solve for the first rows of x; take away from the others what these explain."""
     for row in range(0, num_rows, _BLOCK):
         for k in range(0, min(row, num_pivots), _BLOCK):
-            _subtract(factor, k, row, x, row, 0, width)
+            _subtract(factor, k, row, x, row, width)
         if row < num_pivots:
-            _divide(factor, row, row, x, row, 0, width)
+            _divide(factor, row, row, x, row, width)
 
 
 @_compiled(fastmath={"contract"})
-def _subtract(factor, k, column, x, row, start, stop):
+def _subtract(factor, k, column, x, row, width):
     """Take the rows from k, times factor[k:, column:], away from those from row: four of each."""
     f, i = factor, column
     a0, a1, a2, a3 = f[k, i], f[k, i + 1], f[k, i + 2], f[k, i + 3]
@@ -365,7 +374,7 @@ def _subtract(factor, k, column, x, row, start, stop):
     d0, d1, d2, d3 = f[k + 3, i], f[k + 3, i + 1], f[k + 3, i + 2], f[k + 3, i + 3]
     a, b, c, d = x[k], x[k + 1], x[k + 2], x[k + 3]
     out0, out1, out2, out3 = x[row], x[row + 1], x[row + 2], x[row + 3]
-    for j in range(start, stop):
+    for j in range(width):
         p, q, r, s = a[j], b[j], c[j], d[j]
         new0 = out0[j] - a0 * p - b0 * q - c0 * r - d0 * s
         new1 = out1[j] - a1 * p - b1 * q - c1 * r - d1 * s
@@ -375,14 +384,14 @@ def _subtract(factor, k, column, x, row, start, stop):
 
 
 @_compiled(fastmath={"contract"})
-def _divide(factor, k, column, x, row, start, stop):
+def _divide(factor, k, column, x, row, width):
     """Solve four rows for the triangle factor[k:, column:]."""
     f, i = factor, column
     a0, a1, a2, a3 = f[k, i], f[k, i + 1], f[k, i + 2], f[k, i + 3]
     b1, b2, b3 = f[k + 1, i + 1], f[k + 1, i + 2], f[k + 1, i + 3]
     c2, c3, d3 = f[k + 2, i + 2], f[k + 2, i + 3], f[k + 3, i + 3]
     out0, out1, out2, out3 = x[row], x[row + 1], x[row + 2], x[row + 3]
-    for j in range(start, stop):
+    for j in range(width):
         p = out0[j] * a0
         q = (out1[j] - a1 * p) * b1
         r = (out2[j] - a2 * p - b2 * q) * c2
@@ -442,23 +451,22 @@ def _predict(table, counts, own, num_own, factor, roots, weights, scale, query, 
                     for axis in range(3):
                         columns[axis, j - begin] = query[b, which, j, axis] * scale[axis]
                 for row in range(counts[b, 1]):
-                    _fill_row(table[b, row], columns, 0, width, x[row])
+                    _fill_row(table[b, row], columns, width, x[row])
                 x[counts[b, 1] : num_rows, :width] = 0.0
                 if mean.shape[2] > 0:
-                    _write_means(
-                        weights[b, :num_rows], first, last, x, width, mean[b, :, begin:end]
-                    )
-                if std.shape[2] > 0:
-                    _eliminate(factor[b], counts[b, 0], x, num_rows, width)
-                    variance[0, :width] = 1.0
-                    _subtract_squares(x, counts[b, 0], width, variance[0])
-                    for i in range(first, last):
-                        out = std[b, i, begin:end]
-                        if num_own[b, i] < 0:
-                            out[:] = 1.0
-                            continue
-                        rows = own[b, i, : num_own[b, i]]
-                        _write_deviation(roots[b, i], rows, x, most_rows, width, variance, out)
+                    out = mean[b, :, begin:end]
+                    _write_means(weights[b, :num_rows], first, last, x, width, out)
+                if std.shape[2] == 0:
+                    continue
+                _eliminate(factor[b], counts[b, 0], x, num_rows, width)
+                variance[0, :width] = 1.0
+                _subtract_squares(x, counts[b, 0], width, variance[0])
+                for i in range(first, last):
+                    rows = own[b, i, : max(num_own[b, i], 0)]
+                    deviation = std[b, i, begin:end]
+                    _write_deviation(roots[b, i], rows, x, most_rows, width, variance, deviation)
+                    if num_own[b, i] < 0:
+                        deviation[:] = 1.0
 
 
 @_compiled()
@@ -468,7 +476,7 @@ def _write_means(weights, first, last, x, width, out):
     for begin in range(first // _BLOCK * _BLOCK, last, _BLOCK):
         x[num_rows : num_rows + _BLOCK, :width] = 0.0
         for k in range(0, num_rows, _BLOCK):
-            _subtract(weights, k, begin, x, num_rows, 0, width)
+            _subtract(weights, k, begin, x, num_rows, width)
         for i in range(max(first, begin), min(last, begin + _BLOCK)):
             for j in range(out.shape[1]):
                 out[i, j] = x[num_rows + i - begin, j]

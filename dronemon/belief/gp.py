@@ -28,8 +28,6 @@ _Result = TypeVar("_Result")
 
 JITTER = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Added to the covariance's diagonal so that its Cholesky factor exists in that precision."""
-_GROUPS_PER_THREAD = 2
-"""Of episodes fitted in compiled loops: threads end at about the same time."""
 
 
 class Group(Protocol):
@@ -131,9 +129,9 @@ def fit(
 def _fit_compiled(
     points: Tensor, values: Tensor, mask: Tensor, kernel: Matern32, jitter: float, num_threads: int
 ) -> tuple[Sequence[Group], int]:
-    """Fit in compiled loops, one episode after the other. -> groups, how many fits failed."""
+    """Fit in compiled loops, a group for each thread. -> groups, how many fits failed."""
     size = len(points)
-    group_size = max(1, math.ceil(size / (_GROUPS_PER_THREAD * num_threads)))
+    group_size = max(1, math.ceil(size / num_threads))
     episodes = [slice(start, start + group_size) for start in range(0, size, group_size)]
     fit_group = partial(
         compiled.fit,
