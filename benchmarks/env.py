@@ -86,7 +86,7 @@ def compare_with_sklearn(env: Env, num_threads: int) -> None:
         for b, i in np.ndindex(*mask.shape[:2])
     ]
     work = partial(fit, points, values, mask, num_threads=num_threads)
-    ours_s = shortest_s(lambda: work().predict(query), 20)
+    ours_s = shortest_s(lambda: work().predict(query), 100)
     theirs_s = np.full(2, np.inf)
     for limit in {1, num_threads}:
         with threadpool_limits(limit):

@@ -29,6 +29,9 @@ from dronemon.planner import Planner
 from dronemon.version import code_version
 from dronemon.world import Instance
 
+PUBLISHED_CONDITIONS = (30.0, 200)
+"""Horizon in au and number of nodes of the paper's Table I."""
+
 
 def evaluate(options: Options, console: Console | None = None) -> list[Result]:
     """Fly all episodes that the output folder does not hold yet, and write what they show.
@@ -57,7 +60,11 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
             results[result.key] = result
             progress.advance(bar)
     finished = [results[task.key] for task in tasks]
-    write_tables(finished, options.out, options.command)
+    is_as_published = (options.horizon_au, options.num_nodes) == PUBLISHED_CONDITIONS
+    for verdict in write_tables(
+        finished, options.out, options.command, is_as_published=is_as_published
+    ):
+        console.print(verdict, soft_wrap=True, markup=False)
     _draw(finished, options)
     return finished
 

@@ -25,6 +25,7 @@ from dronemon.evaluation.tables import (
     gap_closed,
     overall,
     paired_differences,
+    published_overall,
     published_rows,
     summarise,
 )
@@ -36,11 +37,17 @@ DIGITS = {"min_ob": 2}
 UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
 
 
-def write_tables(results: Sequence[Result], out: Path, command: str) -> None:
-    """Write table.csv, paired.csv and table.md into a folder; `command` made the results."""
+def write_tables(
+    results: Sequence[Result], out: Path, command: str, *, is_as_published: bool
+) -> list[str]:
+    """Write table.csv, paired.csv and table.md into a folder; `command` made the results.
+
+    is_as_published: the episodes are as long, on as many nodes, as the paper's, so that its figures
+    stand beside them. -> what follows from that comparison, a line each.
+    """
     rows = summarise(results)
     cells = {row.cell for row in rows}
-    published = [row for row in published_rows() if row.cell in cells]
+    published = [row for row in published_rows() if row.cell in cells and is_as_published]
     differences = paired_differences(results)
     _write_csv(out / "table.csv", _table_records([*rows, *_renamed(published)]))
     _write_csv(out / "paired.csv", _difference_records(differences))
@@ -55,9 +62,17 @@ def write_tables(results: Sequence[Result], out: Path, command: str) -> None:
         "mean ± standard error over instances.",
         "",
     ]
-    body = [*_headline(rows), *_cell_tables(rows, published), *_paired(differences)]
+    verdicts = _verdicts(results, rows) if is_as_published else []
+    body = [
+        *_means(results, is_as_published),
+        *[f"- {verdict}" for verdict in verdicts],
+        "",
+        *_cell_tables(rows, published),
+        *_paired(differences),
+    ]
     text = "\n".join([*title, *body])
     (out / "table.md").write_text(text, encoding="utf-8")
+    return verdicts
 
 
 def _renamed(published: Iterable[Row]) -> list[Row]:
@@ -149,51 +164,59 @@ def _markdown(header: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]
     return [*("| " + " | ".join(cells) + " |" for cells in lines), ""]
 
 
-def _headline(rows: Sequence[Row]) -> list[str]:
-    """Means over the paper's cells, beside the paper's own, and what follows from them."""
-    methods = list(dict.fromkeys(row.method for row in rows))
-    lines: list[str] = []
-    published = published_rows()
-    means = {method: overall(rows, method) for method in methods}
-    if any(means.values()):
-        paper = list(dict.fromkeys(row.method for row in published))
-        body = [
-            [method, *(_plus_minus(mean[name], name) for name in PAPER_FIGURES)]
-            for method, mean in means.items()
-            if mean
-        ] + [
-            [_paper_name(method), *(_plus_minus(mean[name], name) for name in PAPER_FIGURES)]
-            for method in paper
-            if (mean := overall(published, method))
+def _means(results: Sequence[Result], is_as_published: bool) -> list[str]:
+    """Means over the paper's cells, beside the paper's own; nothing if no method flew them all."""
+    methods = dict.fromkeys(result.method for result in results)
+    body = [
+        [method, *(_plus_minus(mean[name], name) for name in PAPER_FIGURES)]
+        for method in methods
+        if (mean := overall(results, method))
+    ]
+    if not body:
+        return []
+    if is_as_published:
+        body += [
+            [_paper_name(method), *(_number(mean[name], name) for name in PAPER_FIGURES)]
+            for method, mean in published_overall().items()
         ]
-        lines += ["## Means over the 16 cells of Table I", ""]
-        lines += _markdown(["method", "Unc", "Unc std", "MinOb", "JSD"], body)
-    bound, network = means.get(BOUND), overall(published, PAPER_NETWORK)
-    if bound and network:
+    return [
+        "## Means over the 16 cells of Table I",
+        "",
+        *_markdown(["method", "Unc", "Unc std", "MinOb", "JSD"], body),
+    ]
+
+
+def _verdicts(results: Sequence[Result], rows: Sequence[Row]) -> list[str]:
+    """What the comparison with the paper's figures comes to."""
+    methods = list(dict.fromkeys(row.method for row in rows))
+    means = {method: overall(results, method) for method in methods}
+    bound, network = means.get(BOUND), published_overall()[PAPER_NETWORK]
+    lines: list[str] = []
+    if bound:
         for method, mean in means.items():
             if mean and method != BOUND:
                 shares = ", ".join(
-                    f"{100 * gap_closed(mean[name].mean, network[name].mean, bound[name].mean):.0f}"
+                    f"{100 * gap_closed(mean[name].mean, network[name], bound[name].mean):.0f}"
                     f" % in {name.title() if name == 'unc' else name.upper()}"
                     for name in ("unc", "jsd")
                 )
-                lines.append(f"- `{method}` closes the gap from the paper's network: {shares}.")
+                lines.append(f"`{method}` closes the gap from the paper's network: {shares}.")
     for method in methods:
         better, compared = count_better(rows, method)
         if compared:
             lines.append(
-                f"- `{method}` is better than the best published of any method in {better} of "
+                f"`{method}` is better than the best published of any method in {better} of "
                 f"{compared} figures."
             )
         if method in COUNTERPARTS:
             agreeing, compared = count_agreeing(rows, method)
             if compared:
                 lines.append(
-                    f"- `{method}` agrees with the paper's {COUNTERPARTS[method]} in {agreeing} of "
+                    f"`{method}` agrees with the paper's {COUNTERPARTS[method]} in {agreeing} of "
                     f"{compared} cells (Unc within {AGREEMENT['unc']}, JSD within "
                     f"{AGREEMENT['jsd']})."
                 )
-    return [*lines, ""]
+    return lines
 
 
 def _plus_minus(estimate: Estimate, name: str) -> str:

@@ -141,40 +141,57 @@ def _difference(
 ) -> Difference:
     """Average over instances in each cell, then over cells."""
     shared = [key for key in ours if key in theirs]
-    cells = list(dict.fromkeys(cell for cell, _ in shared))
-    figures = {}
-    for name in RANKED:
-        per_cell = [
-            Estimate.of(
-                float(getattr(ours[key].scores, name) - getattr(theirs[key].scores, name))
+    figures = {
+        name: _mean_over_cells(
+            {
+                key: float(getattr(ours[key].scores, name) - getattr(theirs[key].scores, name))
                 for key in shared
-                if key[0] == cell
-            )
-            for cell in cells
-        ]
-        figures[name] = _mean_over_cells(per_cell)
-    return Difference(method=method, other=other, cells=len(cells), figures=figures)
+            }
+        )
+        for name in RANKED
+    }
+    cells = len({cell for cell, _ in shared})
+    return Difference(method=method, other=other, cells=cells, figures=figures)
 
 
-def _mean_over_cells(estimates: Sequence[Estimate]) -> Estimate:
-    """Mean of independent estimates, each cell counting the same."""
-    errors = np.array([estimate.standard_error for estimate in estimates])
+def _mean_over_cells(values: Mapping[tuple[Cell, int], float]) -> Estimate:
+    """Mean over instances, then over cells. values: by cell and seed.
+
+    A seed is much the same world in every cell, so the error is that of the seeds' own means, of
+    those seeds that flew all cells.
+    """
+    by_cell: dict[Cell, list[float]] = {}
+    by_seed: dict[int, list[float]] = {}
+    for (cell, seed), value in values.items():
+        by_cell.setdefault(cell, []).append(value)
+        by_seed.setdefault(seed, []).append(value)
+    whole = [float(np.mean(few)) for few in by_seed.values() if len(few) == len(by_cell)]
     return Estimate(
-        mean=float(np.mean([estimate.mean for estimate in estimates])) if estimates else math.nan,
-        standard_error=float(np.sqrt((errors**2).sum()) / len(estimates))
-        if estimates
-        else math.nan,
+        mean=float(np.mean([np.mean(few) for few in by_cell.values()])) if by_cell else math.nan,
+        standard_error=Estimate.of(whole).standard_error,
     )
 
 
-def overall(rows: Iterable[Row], method: str) -> dict[str, Estimate] | None:
+def overall(results: Iterable[Result], method: str) -> dict[str, Estimate] | None:
     """A method's means over the paper's 16 cells; None if one of them is missing."""
-    by_cell = {row.cell: row for row in rows if row.method == method}
-    if not all(cell in by_cell for cell in TABLE1_CELLS):
+    flown = [r for r in results if r.method == method and r.cell in TABLE1_CELLS]
+    if len({result.cell for result in flown}) < len(TABLE1_CELLS):
         return None
     return {
-        name: _mean_over_cells([by_cell[cell].figures[name] for cell in TABLE1_CELLS])
+        name: _mean_over_cells({(r.cell, r.seed): float(getattr(r.scores, name)) for r in flown})
         for name in PAPER_FIGURES
+    }
+
+
+def published_overall() -> dict[str, dict[str, float]]:
+    """Means over the 16 cells of the paper's methods, by method and figure."""
+    rows = published_rows()
+    return {
+        method: {
+            name: float(np.mean([row.figures[name].mean for row in rows if row.method == method]))
+            for name in PAPER_FIGURES
+        }
+        for method in dict.fromkeys(row.method for row in rows)
     }
 
 

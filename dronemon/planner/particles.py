@@ -294,7 +294,7 @@ class ParticleBelief:
             best = np.argpartition(error, count // 12)[: count // 12]
             walkers[2] = walkers[2, self._rng.choice(best, count)]
             walkers[2] += self._rng.normal(0.0, 0.2, count)
-        walkers[0], walkers[1] = x, y
+        walkers[0], walkers[1] = min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)
         track.sightings.append((time_au, x, y))
         if not track.trail or math.hypot(track.trail[-1][1] - x, track.trail[-1][2] - y) > 0.025:
             track.trail.append(track.sightings[-1])

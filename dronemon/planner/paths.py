@@ -235,7 +235,8 @@ def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untype
                     dy = (d + 0.5) / size - points[i, a, 1]
                     distance = across + dy * dy
                     if distance < _MEAN_REACH_AU**2:
-                        out[i, c, d] += weight[a] * _MATERN_AT[int(distance * scale)]
+                        bin_ = min(int(distance * scale), _MEAN_BINS - 1)
+                        out[i, c, d] += weight[a] * _MATERN_AT[bin_]
 
 
 @njit(cache=True, fastmath=True)
@@ -260,7 +261,7 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
         gained = np.float32(0.0)
         cx, cy = min(int(ax * size), size - 1), min(int(ay * size), size - 1)
         for i in range(scene.mean.shape[0]):
-            mean = scene.mean[i, cx, cy]
+            mean = max(scene.mean[i, cx, cy], np.float32(0.0))  # as the metric JSD counts it
             cleared = shape_worth * mean * mean
             for p in range(scene.first[i], scene.first[i + 1]):
                 gain = cleared
@@ -302,6 +303,23 @@ def nearest_node(ground, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True)
+def advance(x, y, dx, dy):  # type: ignore[no-untyped-def]
+    """Step (dx, dy) from inside the square; along the border, as far, if it would lead out."""
+    to_x, to_y = x + dx, y + dy
+    if to_x < 0.0 or to_x > 1.0:
+        to_x = min(max(to_x, 0.0), 1.0)
+        to_y = y + math.copysign(math.sqrt(dx * dx + dy * dy - (to_x - x) ** 2), dy)
+        if to_y < 0.0 or to_y > 1.0:
+            to_y = 2.0 * y - to_y
+    elif to_y < 0.0 or to_y > 1.0:
+        to_y = min(max(to_y, 0.0), 1.0)
+        to_x = x + math.copysign(math.sqrt(dx * dx + dy * dy - (to_y - y) ** 2), dx)
+        if to_x < 0.0 or to_x > 1.0:
+            to_x = 2.0 * x - to_x
+    return to_x, to_y
+
+
+@njit(cache=True, fastmath=True)
 def fly(goal_x, goal_y, goal_node, ground, path, k, x, y, node, due):  # type: ignore[no-untyped-def]
     """Fly to a goal, by its node if it has one, and write where measurements fall.
 
@@ -315,8 +333,7 @@ def fly(goal_x, goal_y, goal_node, ground, path, k, x, y, node, due):  # type: i
             distance = math.sqrt(dx * dx + dy * dy)
             if distance < _ARRIVED_AU:
                 break
-            x = min(max(x + due * dx / distance, 0.0), 1.0)
-            y = min(max(y + due * dy / distance, 0.0), 1.0)
+            x, y = advance(x, y, due * dx / distance, due * dy / distance)
             due = MEASUREMENT_INTERVAL_AU
             path[k, 0], path[k, 1] = x, y
             k += 1

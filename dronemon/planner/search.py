@@ -25,6 +25,8 @@ from dronemon.roadmap import Roadmap
 from dronemon.types import FloatArray, IntArray, Measurement
 
 _WINDOW_AU = WINDOW_TIME_SCALES * paths.TIME_SCALE_AU
+_NEXT_AU = 0.03
+"""A measurement nearer than this is left to come as it may: no waypoint is as near as that."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,6 +132,12 @@ class _Evidence:
         for index in np.flatnonzero(measurement.seen):
             self.seen_au[index] = measurement.time_au
 
+    def due_au(self, time_au: float) -> float:
+        """Distance to a measurement that is worth planning for: the next, or the one after."""
+        latest_au = self._measurements[-1].time_au if self._measurements else 0.0
+        left = until_measurement_au(time_au - latest_au)
+        return left if left >= _NEXT_AU else left + MEASUREMENT_INTERVAL_AU
+
     def points(self, time_au: float, num_targets: int) -> tuple[FloatArray, FloatArray, IntArray]:
         """Each target's data, and how many. -> (N, n, 3) x, y, time; (N, n) presence; (N,)."""
         num_points = len(self._measurements)
@@ -190,7 +198,7 @@ class SearchPlanner:
             float(snapshot.position_au[0]),
             float(snapshot.position_au[1]),
             -1,
-            MEASUREMENT_INTERVAL_AU,
+            self._evidence.due_au(snapshot.time_au),
         )
         gain, path, goals, count, _, _ = self._search(
             snapshot.time_au, start, np.empty(0, dtype=np.int64)
@@ -263,7 +271,7 @@ class SearchPlanner:
             y=np.ascontiguousarray(flat[..., 1]),
             weight=np.repeat(weight, num_each).astype(np.float32),
             probe_age=probe_age,
-            sight_age=np.repeat(since.clip(0, paths.OLDEST), num_each).astype(np.int32),
+            sight_age=np.repeat(np.rint(since.clip(0, paths.OLDEST)), num_each).astype(np.int32),
             first=first,
             mean=mean,
         )
@@ -315,6 +323,8 @@ class RoadmapSearchPlanner(SearchPlanner):
             until_measurement_au(snapshot.time_au),
         )
         gain, _, goals, count, hop, gains = self._search(snapshot.time_au, start, neighbours)
+        if hop < 0:
+            raise PlannerError(f"search found no way from node {node}; report this")
         self._keep(goals, count, nodes_au[hop])
         return Waypoint(
             position_au=nodes_au[hop],
@@ -337,7 +347,7 @@ class ClairvoyantSearchPlanner(SearchPlanner):
         self._targets_at = targets_at
 
     def _foreseen(self, time_au: float) -> tuple[FloatArray, FloatArray, float]:
-        """The true places, and the mean speed over the horizon."""
+        """The true places, and the mean speed now."""
         nearby = self._targets_at(time_au + np.array([0.0, MEASUREMENT_INTERVAL_AU]))
         walked = np.linalg.norm(nearby[1] - nearby[0], axis=-1)
         speed = max(float(np.mean(walked)) / MEASUREMENT_INTERVAL_AU, 1e-3)

@@ -18,6 +18,7 @@ from dronemon.evaluation.tables import (
     gap_closed,
     overall,
     paired_differences,
+    published_overall,
     published_rows,
     summarise,
 )
@@ -90,18 +91,28 @@ def test_published_table_is_the_papers() -> None:
     assert {row.cell for row in rows} == set(TABLE1_CELLS)
     (row,) = (row for row in rows if row.method == "TSP Loop" and row.cell == OTHER)
     assert (row.figures["unc"].mean, row.figures["jsd"].mean) == (0.869, 0.345)
-    means = overall(rows, "STAMP")
-    assert means is not None
-    assert means["unc"].mean == pytest.approx(0.755, abs=5e-4)
-    assert means["jsd"].mean == pytest.approx(0.237, abs=5e-4)
+    means = published_overall()["STAMP"]
+    assert means["unc"] == pytest.approx(0.755, abs=5e-4)
+    assert means["jsd"] == pytest.approx(0.237, abs=5e-4)
 
 
 def test_overall_needs_all_sixteen_cells() -> None:
     results = [result("a", 0, 0.5 + 0.01 * k, cell=cell) for k, cell in enumerate(TABLE1_CELLS)]
-    means = overall(summarise(results), "a")
+    means = overall(results, "a")
     assert means is not None
     assert means["unc"].mean == pytest.approx(0.575)
-    assert overall(summarise(results[1:]), "a") is None
+    assert overall(results[1:], "a") is None
+
+
+def test_error_of_a_mean_over_cells_is_that_of_the_seeds() -> None:
+    # The seed decides all: sixteen cells tell no more than one.
+    results = [
+        result("a", seed, 0.5 + 0.1 * seed, cell=cell) for cell in TABLE1_CELLS for seed in range(3)
+    ]
+    means = overall(results, "a")
+    assert means is not None
+    assert means["unc"].mean == pytest.approx(0.6)
+    assert means["unc"].standard_error == pytest.approx(0.1 / math.sqrt(3))
 
 
 def test_gap_is_closed_where_ours_reaches_the_bound() -> None:
@@ -150,7 +161,7 @@ def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
         for seed in (0, 1)
         for method, unc in (("search", 0.7), ("clairvoyant-search", 0.65))
     ]
-    write_tables(results, tmp_path, "dronemon evaluate --table1")
+    verdicts = write_tables(results, tmp_path, "dronemon evaluate --table1", is_as_published=True)
     with (tmp_path / "table.csv").open(newline="") as file:
         records = list(csv.DictReader(file))
     assert list(records[0])[:7] == [
@@ -171,13 +182,20 @@ def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
     network = sum(r.figures["unc"].mean for r in published_rows() if r.method == "STAMP") / 16
     share = 100 * (network - 0.705) / (network - 0.655)
     assert f"`search` closes the gap from the paper's network: {share:.0f} % in Unc" in text
+    assert all(f"\n- {verdict}\n" in text for verdict in verdicts)
     assert "`dronemon evaluate --table1`" in text
     assert "paper: STAMP" in text
     assert "search minus clairvoyant-search | 16 | 0.050 ± 0.000" in text
     assert "\ndronemon 0.1.0+aaaaaaaaaa; one instance per seed, 0 to 1" in text
 
 
+def test_other_conditions_than_the_papers_are_not_compared_with_it(tmp_path: Path) -> None:
+    results = [result("search", 0, 0.7, cell=cell) for cell in TABLE1_CELLS]
+    assert write_tables(results, tmp_path, "--horizon 5", is_as_published=False) == []
+    assert "paper" not in (tmp_path / "table.md").read_text()
+
+
 def test_tables_name_every_code_that_took_part(tmp_path: Path) -> None:
     mixed = [result("tsp", seed, 0.5, code=f"0.1.0+{letter}") for seed, letter in enumerate("bab")]
-    write_tables(mixed, tmp_path, "dronemon evaluate")
+    write_tables(mixed, tmp_path, "dronemon evaluate", is_as_published=True)
     assert "\ndronemon 0.1.0+a and 0.1.0+b; one" in (tmp_path / "table.md").read_text()
