@@ -70,7 +70,9 @@ def naive_verdict(
     ]
     marks_au = torch.stack(naive_windows(lengths_au, decision, stride, count))
     coordinates = network.target_encoder.coordinates(graphs.coordinates[0])  # (V, d)
-    beliefs = network.target_encoder.belief(windows)  # (W, V, N, d)
+    centred = windows - windows.new_tensor([0.0, 0.9, 0.0, 0.96])[: windows.shape[-1]]
+    scaled = centred / windows.new_tensor([0.12, 0.17, 0.08, 0.06])[: windows.shape[-1]]
+    beliefs = network.target_encoder.belief(scaled)  # (W, V, N, d)
     encoded = naive_layer(
         network.target_encoder,
         coordinates[None, :, None].expand(len(windows), -1, -1, -1),
