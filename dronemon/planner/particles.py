@@ -35,14 +35,16 @@ class MotionSettings:
     """What is assumed of targets, and how closely they are followed.
 
     num_particles: of each target; turns_per_au: per length walked; noise_au: of a displacement
-    between two sightings; trail_radius_au: targets seldom come this close to their own trail;
-    trail_doubt: chance that a particle which did is removed, at each miss
+    between two sightings; trail_radius_au: targets seldom come this close to their own trail, as
+    far as they walked it in the last trail_au; trail_doubt: chance that a particle which did is
+    removed, at each miss
     """
 
     num_particles: int = 240
     turns_per_au: float = TURNS_PER_AU
     noise_au: float = 0.0015
     trail_radius_au: float = 0.1
+    trail_au: float = 5.0
     trail_doubt: float = 0.9
 
 
@@ -318,7 +320,8 @@ class ParticleBelief:
         """Remove the particles that a miss refutes, and put others in their place."""
         motion = self._motion
         latest_au = self.time_au - 0.3 / self.speed.mean
-        old = [(x, y) for time_au, x, y in track.trail if time_au < latest_au]
+        first_au = self.time_au - motion.trail_au / self.speed.mean
+        old = [(x, y) for time_au, x, y in track.trail if first_au < time_au < latest_au]
         lost = refuted(
             track.walkers,
             agent_au,

@@ -60,7 +60,7 @@ class SearchSettings:
     """Worth of having seen a target, for each measurement that the knowledge lasts."""
     forget_steps: float = 25.0
     """Measurements in which that knowledge fades to 1/e."""
-    shape_worth: float = 2.5
+    shape_worth: float = 1.0
     """Worth of a belief's mean nearer to its target's presence, per squared error at r_v = 1/30."""
     guided_share: float = 0.7
     """Paths whose goals are drawn by urgency and nearness, rather than at random."""
