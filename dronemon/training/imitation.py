@@ -68,7 +68,8 @@ class ExpertConfig:
 
     round_episodes: taught each round, over all workers (0 workers: one per core); first_episodes:
     of the first round, which the teacher flies; taught_share: of later episodes, that it flies;
-    updates: of the network each round; temperature: in the teacher's score, of the soft targets;
+    updates: of the network each round, each from minibatch_episodes (over all processes);
+    temperature: in the teacher's score, of the soft targets;
     imitation_share: of the time budget, before PPO; symmetries: learn each episode in the eight
     ways of seeing the square.
     """
@@ -199,7 +200,8 @@ class Expert:
         """Updates on random episodes of all lessons. progress: of the imitation, 0 to 1."""
         config = self.config
         rng = np.random.default_rng([self._seed, self._num_rounds, self._peers.rank, 99])
-        weights = np.array([len(lesson.gains) for lesson in self._lessons], dtype=np.float64)
+        episodes = [(lesson, i) for lesson in self._lessons for i in range(len(lesson.gains))]
+        size = min(max(1, config.minibatch_episodes // self._peers.size), len(episodes))
         cosine = 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
         rate = config.final_learning_rate + cosine * (
             config.learning_rate - config.final_learning_rate
@@ -209,27 +211,36 @@ class Expert:
             warm = min(1.0, (self._num_updates + 1) / config.warmup_updates)
             for group in self._optimizer.param_groups:
                 group["lr"] = rate * warm
-            lesson = self._lessons[rng.choice(len(weights), p=weights / weights.sum())]
-            size = min(config.minibatch_episodes, len(lesson.gains))
-            chosen = rng.choice(len(lesson.gains), size=size, replace=False)
-            for name, value in self._update(lesson, torch.as_tensor(chosen), rng).items():
+            chosen = rng.choice(len(episodes), size=size, replace=False)
+            for name, value in self._update([episodes[i] for i in chosen], rng).items():
                 sums[name] = sums.get(name, torch.zeros_like(value)) + value
             self._num_updates += 1
         means = {name: float(value) / config.updates for name, value in sums.items()}
         return {**means, "learning_rate": rate}
 
     def _update(
-        self, lesson: Lesson, episodes: Tensor, rng: np.random.Generator
+        self, chosen: Sequence[tuple[Lesson, int]], rng: np.random.Generator
     ) -> dict[str, Tensor]:
-        """One step on a few episodes."""
+        """One step on a few episodes, each of any lesson."""
+        self._optimizer.zero_grad()
+        # One after another: a pass over two at once leaves the caches and takes twice as long.
+        rows = [self._add_gradient(lesson, index, len(chosen), rng) for lesson, index in chosen]
+        self._peers.average_gradients(self.network)
+        gradient = nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_gradient)
+        self._optimizer.step()
+        means = {name: torch.stack([row[name] for row in rows]).mean() for name in rows[0]}
+        return {**means, "gradient": gradient}
+
+    def _add_gradient(
+        self, lesson: Lesson, index: int, count: int, rng: np.random.Generator
+    ) -> dict[str, Tensor]:
+        """Add the gradient of one of `count` episodes whose mean loss a step reduces."""
         config = self.config
-        rollout = lesson.rollout
-        segment = rollout.segment.select(episodes).to(self._device)
+        episode, rollout = torch.tensor([index]), lesson.rollout
+        segment = rollout.segment.select(episode).to(self._device)
         if config.symmetries:
-            segment = segment.mirrored(
-                torch.as_tensor(rng.integers(8, size=len(episodes)), device=self._device)
-            )
-        gains = lesson.gains[episodes].to(self._device)
+            segment = segment.mirrored(torch.as_tensor(rng.integers(8, size=1)).to(self._device))
+        gains = lesson.gains[episode].to(self._device)
         history = int(rng.integers(config.history[0], config.history[1] + 1))
         with in_precision(config.precision, self._device):
             verdict = self.network(segment, history)
@@ -240,18 +251,13 @@ class Expert:
         never = torch.zeros_like(rewards, dtype=torch.bool)
         discount = config.finish.discount
         returns = advantages(rewards, rollout.values, never, discount, 1.0) + rollout.values[:, :-1]
-        value_loss = (verdict.value - returns[episodes].to(self._device)).square().mean()
-        self._optimizer.zero_grad()
-        torch.autograd.backward(loss + config.value_weight * value_loss)
-        self._peers.average_gradients(self.network)
-        gradient = nn.utils.clip_grad_norm_(self.network.parameters(), config.max_gradient)
-        self._optimizer.step()
+        value_loss = (verdict.value - returns[episode].to(self._device)).square().mean()
+        torch.autograd.backward((loss + config.value_weight * value_loss) / count)
         choice, best = verdict.logits.argmax(-1, keepdim=True), gains.amax(-1, keepdim=True)
         return {
             "imitation_loss": loss.detach(),
             "value_loss": value_loss.detach(),
             "entropy": entropy(verdict.logits).mean().detach(),
-            "gradient": gradient,
             "regret": ((best - gains.gather(-1, choice)) / config.temperature).mean(),
             "agreement": (gains.gather(-1, choice) == best).float().mean(),
         }
