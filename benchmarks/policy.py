@@ -1,7 +1,7 @@
 """Time of one decision of the policy network with its memory, against the plain reference.
 
-Usage: python benchmarks/policy.py [--width 128] [--decisions 400]. Fails if the 99th percentile is
-above 15 ms or the reference less than 10 times slower.
+Usage: python benchmarks/policy.py [--width 128] [--decisions 400] [--ours]. Fails if the 99th
+percentile is above 15 ms or the reference less than 10 times slower.
 """
 
 from __future__ import annotations
@@ -32,10 +32,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--width", type=int, default=128)
     parser.add_argument("--decisions", type=int, default=400)
-    parser.add_argument("--ways", action="store_true")
+    parser.add_argument("--ours", action="store_true", help="with newest, ways and geometry")
     options = parser.parse_args()
     torch.manual_seed(0)
-    config = NetworkConfig(width=options.width, feed_forward=4 * options.width, ways=options.ways)
+    config = NetworkConfig(
+        width=options.width,
+        feed_forward=4 * options.width,
+        newest=options.ours,
+        ways=options.ours,
+        geometry=options.ours,
+    )
     network = PolicyNetwork(config).eval()
     rng = np.random.default_rng(0)
     roadmap = Roadmap.random(NUM_NODES, 10, rng, rng.random(2))
@@ -68,7 +74,7 @@ def main() -> int:
                 frames[0, : t + 1],
                 mask[0],
                 lengths_au[0, : t + 1],
-                int(nodes[0, t]),
+                (int(nodes[0, t]), int(nodes[0, t - 1])),
                 HISTORY,
             )
         plain_ms.append(1e3 * (time.perf_counter() - began))

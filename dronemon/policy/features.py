@@ -4,8 +4,8 @@ A frame is the belief at one decision; a window is the mean of the `stride` newe
 decision, fewer at the start of an episode. The history of a decision t is the windows that end at
 t, t - stride, t - 2 stride, ...: `stride` interleaved phases.
 
-    B episodes   L decisions   V nodes   N targets   k neighbours   F features of a target at a node
-    s stride   T' windows seen
+    B episodes   L decisions   V nodes   N targets   k neighbours   s stride   T' windows seen
+    F features of a target at a node in a window
 
 Source: paper, section IV-A (observation) and IV-B (average pooling, trajectory length).
 """
@@ -25,8 +25,6 @@ LENGTH_SCALE_AU = 1.993 * 3.0
 
 Source: paper, section IV-B.
 """
-FEATURES = 4
-"""F: mean and standard deviation now, mean and standard deviation a little later."""
 
 
 def belief_features(
@@ -34,7 +32,7 @@ def belief_features(
 ) -> Tensor:
     """Features of every target at every node.
 
-    Each: (..., N, V) posterior -> (..., V, N, 4) float32.
+    Each: (..., N, V) posterior -> (..., V, N, 4) float32, in that order.
     """
     return torch.stack([mean_now, std_now, mean_later, std_later], dim=-1).transpose(-3, -2).float()
 
@@ -149,17 +147,15 @@ class Graphs:
 class Segment:
     """The first L decisions of B episodes, as the network sees them.
 
-    windows: (B, L, V, N, F) float32 pooled belief features; target_mask: (B, N) bool; flown: (B, L)
-    float32, the agent's trajectory length at each decision; marks: (B, L) float32, its mean over
-    each window's frames, both in units of `LENGTH_SCALE_AU`; nodes: (B, L) int64, the agent's node
-    at each decision
+    frames: (B, L, V, N, 4) float32 belief features; target_mask: (B, N) bool; flown: (B, L)
+    float32, the agent's trajectory length at each decision in units of `LENGTH_SCALE_AU`; nodes:
+    (B, L) int64, the agent's node at each decision
     """
 
     graphs: Graphs
-    windows: Tensor
+    frames: Tensor
     target_mask: Tensor
     flown: Tensor
-    marks: Tensor
     nodes: Tensor
 
     @classmethod
@@ -170,19 +166,13 @@ class Segment:
         target_mask: Tensor,
         lengths_au: Tensor,
         nodes: Tensor,
-        stride: int,
     ) -> Segment:
-        """Pool the frames of whole episodes.
-
-        frames: (B, L, V, N, F); lengths_au: (B, L) flown at each decision.
-        """
-        flown = lengths_au / LENGTH_SCALE_AU
+        """Whole episodes. frames: (B, L, V, N, 4); lengths_au: (B, L) flown at each decision."""
         return cls(
             graphs=graphs,
-            windows=pool_windows(frames, stride),
+            frames=frames,
             target_mask=target_mask,
-            flown=flown.to(frames.dtype),
-            marks=pool_windows(flown, stride).to(frames.dtype),
+            flown=(lengths_au / LENGTH_SCALE_AU).to(frames.dtype),
             nodes=nodes,
         )
 
@@ -190,10 +180,9 @@ class Segment:
         """Some of the episodes. episodes: (b,) int64."""
         return Segment(
             graphs=self.graphs.select(episodes),
-            windows=self.windows[episodes],
+            frames=self.frames[episodes],
             target_mask=self.target_mask[episodes],
             flown=self.flown[episodes],
-            marks=self.marks[episodes],
             nodes=self.nodes[episodes],
         )
 
@@ -201,10 +190,9 @@ class Segment:
         """The same episodes on another device, in float32."""
         return Segment(
             graphs=self.graphs.to(device),
-            windows=self.windows.to(device).float(),
+            frames=self.frames.to(device).float(),
             target_mask=self.target_mask.to(device),
             flown=self.flown.to(device).float(),
-            marks=self.marks.to(device).float(),
             nodes=self.nodes.to(device),
         )
 

@@ -46,6 +46,7 @@ class History:
         ]
         self._frames: list[Tensor] = []
         self._lengths_au: list[Tensor] = []
+        self._node: Tensor | None = None
         self._num_decisions = 0
 
     @torch.no_grad()
@@ -54,23 +55,29 @@ class History:
     ) -> Verdict:
         """Take in the newest frame and judge the agent's next step.
 
-        frame: (B, V, N, F) belief features, where N may grow; target_mask: (B, N); length_au: (B,)
+        frame: (B, V, N, 4) belief features, where N may grow; target_mask: (B, N); length_au: (B,)
         float64 flown so far; current: (B,) the agent's node -> logits (B, 1, k), value (B, 1)
         """
         known = [_widened(f, frame.shape[2]) for f in self._frames]
         self._frames = [*known, frame][-self._stride :]
         self._lengths_au = [*self._lengths_au, length_au.double()][-self._stride :]
         last = len(self._frames) - 1
-        window = pool_windows(torch.stack(self._frames, dim=1), self._stride, last)
+        window = self._network.windows(torch.stack(self._frames, dim=1), self._stride, last)
         mark_au = pool_windows(torch.stack(self._lengths_au, dim=1), self._stride, last)[:, 0]
-        encoded = self._network.encode(self._graphs, window[:, :, :, None], target_mask)
+        encoded = self._network.target_encoder(
+            self._graphs.coordinates, window[:, :, :, None], target_mask
+        )
         phase = self._phases[self._num_decisions % self._stride]
         self._num_decisions += 1
         if isinstance(self._network.temporal, TemporalEncoder):
             aware = self._attend(self._network.temporal, phase, encoded, length_au, mark_au)
         else:
             aware = self._carry(self._network.temporal, phase, encoded, mark_au)
-        return self._network.decide(aware[:, :, :, 0], self._graphs, current[:, None])
+        previous = current if self._node is None else self._node
+        self._node = current
+        return self._network.decide(
+            aware[:, :, :, 0], self._graphs, current[:, None], previous[:, None]
+        )
 
     def _attend(
         self,
@@ -113,10 +120,10 @@ class History:
 def _widened(frame: Tensor, num_targets: int) -> Tensor:
     """An older frame with prior beliefs about targets unknown then: mean 0, deviation 1.
 
-    (B, V, n, F).
+    (B, V, n, 4).
     """
     missing = num_targets - frame.shape[2]
     if missing <= 0:
         return frame
-    unknown = frame.new_tensor([0.0, 1.0]).repeat(frame.shape[3] // 2)
+    unknown = frame.new_tensor([0.0, 1.0, 0.0, 1.0])
     return torch.cat([frame, unknown.expand(*frame.shape[:2], missing, -1)], dim=2)

@@ -37,7 +37,7 @@ from torch import Tensor, nn
 from torch.nn.functional import pad, scaled_dot_product_attention
 
 from dronemon.errors import PolicyError
-from dronemon.policy.features import FEATURES, Graphs, Segment, num_windows
+from dronemon.policy.features import Graphs, Segment, num_windows, pool_windows
 
 CLIP = 10.0
 """Logits are CLIP * tanh(...). Source: pointer network of the authors' release."""
@@ -47,6 +47,10 @@ FEATURE_SPREAD = (0.12, 0.17, 0.08, 0.06)
 
 As they are, they hardly move a new network; bfloat16's spacing at sigma' is 7 % of its spread.
 """
+LEG_AU = 0.1
+"""About the distance to a neighbour."""
+NUM_MEASURES = 6
+"""Numbers that `_measures` gives for each node."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +58,9 @@ class NetworkConfig:
     """Shape of the network; the defaults are the paper's.
 
     predictions: give beliefs a little later, too (the paper's ablation "w/o" does not); temporal:
-    how history is read; ways: tell nodes how far apart they are along the roadmap.
+    how history is read. The rest is ours. newest: show windows' newest frames beside their means;
+    ways: tell nodes how far apart they are along the roadmap; geometry: tell the decoder where
+    neighbours lie and where the agent comes from.
     """
 
     width: int = 128
@@ -64,7 +70,9 @@ class NetworkConfig:
     stride: int = 5
     predictions: bool = True
     temporal: Literal["attention", "lstm"] = "attention"
+    newest: bool = False
     ways: bool = False
+    geometry: bool = False
 
     def __post_init__(self) -> None:
         if self.width % self.num_heads:
@@ -76,8 +84,8 @@ class NetworkConfig:
 
     @property
     def num_features(self) -> int:
-        """F, of the features that `belief_features` gives."""
-        return FEATURES if self.predictions else 2
+        """F."""
+        return (4 if self.predictions else 2) * (2 if self.newest else 1)
 
     def stride_for(self, history: int) -> int:
         """s, or less where the history is shorter than one window."""
@@ -271,7 +279,7 @@ class SpatialEncoder(nn.Module):
     def forward(self, nodes: Tensor, graphs: Graphs, queried: Tensor) -> Tensor:
         """Spatio-temporal features of the nodes that are asked for.
 
-        nodes: (B, L, V, d); queried: (B, L, q) -> (B, L, q, d)
+        nodes: (B, L, V, d); queried: (B, L, q), the agent's node first -> (B, L, q, d)
         """
         features = nodes + self.eigenvectors(graphs.eigenvectors)[:, None]
         asking, maps = _take(features, queried), self.attention
@@ -279,7 +287,7 @@ class SpatialEncoder(nn.Module):
         query = query / math.sqrt(query.shape[-1])
         scores = query @ maps.heads(maps.key(features)).transpose(-1, -2)
         if self.ways is not None:
-            closeness = self.ways.closeness(_rows(graphs.distances, queried))
+            closeness = self.ways.closeness(_rows(graphs.distances, queried), queried)
             scores = scores + self.ways.scores(query, closeness)
         scores = scores.masked_fill(~graphs.node_mask[:, None, None, None], -torch.inf)
         weights = scores.softmax(-1)  # (B, L, H, q, V)
@@ -291,7 +299,7 @@ class SpatialEncoder(nn.Module):
 
 
 class Ways(nn.Module):
-    """Relative keys and values: how far apart two nodes are along the roadmap.
+    """Relative keys and values: how far apart two nodes are, and which way leads where.
 
     Source: Shaw, Uszkoreit & Vaswani (2018), with R smooth functions of distance for their labels.
     """
@@ -300,19 +308,27 @@ class Ways(nn.Module):
     # agent, but not from each other, and find out what is near a neighbour by coordinates alone.
 
     REACHES_AU = (0.1, 0.3, 1.0)
+    DETOUR_AU = 0.1
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         heads, size = config.num_heads, config.width // config.num_heads
-        count = len(self.REACHES_AU)
+        count = len(self.REACHES_AU) + 1
         start = torch.linspace(0.0, 3.0, heads)[:, None].expand(heads, count)
         self.bias = nn.Parameter(start.clone())
         self.key = nn.Parameter(torch.randn(heads, size, count) / math.sqrt(size))
         self.value = nn.Parameter(torch.randn(heads, count, size) / math.sqrt(count))
 
-    def closeness(self, distances: Tensor) -> Tensor:
-        """Functions of distance that fall from 1 to 0 within each reach. (...) -> (..., R)."""
-        return torch.exp(-distances[..., None] / distances.new_tensor(self.REACHES_AU))
+    def closeness(self, distances: Tensor, queried: Tensor) -> Tensor:
+        """Functions that fall from 1 to 0: of distance, and of the agent's detour by way of a node.
+
+        distances: (B, L, q, V) from the queried nodes, the agent's first; queried: (B, L, q) -> (B,
+        L, q, V, R)
+        """
+        direct = distances[:, :, 0]
+        detours = direct.gather(2, queried)[..., None] + distances - direct[:, :, None]
+        falling = [distances / reach_au for reach_au in self.REACHES_AU]
+        return torch.exp(-torch.stack([*falling, detours / self.DETOUR_AU], dim=-1))
 
     def scores(self, query: Tensor, closeness: Tensor) -> Tensor:
         """What relative keys add. query: (B, L, H, q, e); closeness: (B, L, q, V, R)."""
@@ -333,22 +349,23 @@ class Decoder(nn.Module):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
-        self.distance = nn.Linear(config.width + 1, config.width)
+        num_measures = NUM_MEASURES if config.geometry else 1
+        self.distance = nn.Linear(config.width + num_measures, config.width)
         self.attention = Projections(config.width, config.num_heads)
         self.residual = Residual(config.width, config.feed_forward)
         self.pointer_query = nn.Linear(config.width, config.width, bias=False)
         self.pointer_key = nn.Linear(config.width, config.width, bias=False)
         self.value = nn.Linear(config.width, 1)
 
-    def forward(self, features: Tensor, distances: Tensor, mask: Tensor) -> Verdict:
+    def forward(self, features: Tensor, measures: Tensor, mask: Tensor) -> Verdict:
         """Choose among neighbours.
 
-        features: (B, L, 1 + k, d), the agent's node first; distances: (B, L, 1 + k) from it along
-        the roadmap; mask: (B, L, k)
+        features: (B, L, 1 + k, d), the agent's node first; measures: (B, L, 1 + k, m), the distance
+        from it along the roadmap or what `_measures` gives; mask: (B, L, k)
         """
         with torch.autocast(features.device.type, enabled=False):  # logits need their precision
             full = features.to(self.distance.weight.dtype)
-            placed = self.distance(torch.cat([full, distances[..., None]], dim=-1))
+            placed = self.distance(torch.cat([full, measures], dim=-1))
             current, neighbours = placed[:, :, :1], placed[:, :, 1:]
             maps = self.attention
             mixed = scaled_dot_product_attention(
@@ -380,15 +397,12 @@ class PolicyNetwork(nn.Module):
 
     def forward(self, segment: Segment, history: int) -> Verdict:
         """All decisions of the episodes at once, each seeing the last `history` frames."""
-        length = segment.windows.shape[1]
+        length = segment.frames.shape[1]
         stride = self.config.stride_for(history)
-        encoded = self.encode(
-            segment.graphs,
-            _to_phases(segment.windows, stride).transpose(2, 3),
-            segment.target_mask,
-        )  # (B, P, V, n, d)
+        windows = _to_phases(self.windows(segment.frames, stride), stride).transpose(2, 3)
+        encoded = self.target_encoder(segment.graphs.coordinates, windows, segment.target_mask)
         flown = _to_phases(segment.flown, stride)[:, :, None]  # (B, P, 1, n)
-        marks = _to_phases(segment.marks, stride)[:, :, None]
+        marks = _to_phases(pool_windows(segment.flown, stride), stride)[:, :, None]
         if isinstance(self.temporal, TemporalMemory):
             gaps = torch.diff(marks, prepend=marks[..., :1]).expand(encoded.shape[:-1])
             aware, _ = self.temporal(encoded, gaps)
@@ -398,35 +412,51 @@ class PolicyNetwork(nn.Module):
                 encoded, self.temporal.project(encoded), flown, (marks, marks), mask
             )
         nodes = aware.permute(0, 3, 1, 2, 4).flatten(1, 2)[:, :length]  # (B, L, V, d)
-        return self.decide(nodes, segment.graphs, segment.nodes)
+        previous = torch.cat([segment.nodes[:, :1], segment.nodes[:, :-1]], dim=1)
+        return self.decide(nodes, segment.graphs, segment.nodes, previous)
 
-    def encode(self, graphs: Graphs, windows: Tensor, target_mask: Tensor) -> Tensor:
-        """Target-aware node features of windows. windows: (B, P, V, n, N, F) -> (B, P, V, n, d)."""
-        kept = windows[..., : self.config.num_features]
-        # Differs from STAMP: features of order one. A linear map follows, so the network can be the
-        # same; learning and bfloat16 are not.
-        mean, spread = (
-            kept.new_tensor(numbers)[: kept.shape[-1]] for numbers in (FEATURE_MEAN, FEATURE_SPREAD)
-        )
-        encoded: Tensor = self.target_encoder(
-            graphs.coordinates, (kept - mean) / spread, target_mask
-        )
-        return encoded
+    def windows(self, frames: Tensor, stride: int, first: int = 0) -> Tensor:
+        """What is seen at each decision from the `first` on, of order one.
 
-    def decide(self, nodes: Tensor, graphs: Graphs, current: Tensor) -> Verdict:
+        frames: (B, L, V, N, 4) belief features -> (B, L - first, V, N, F)
+        """
+        # Differs from STAMP: a linear map follows, so the network can be the same as without this;
+        # learning and bfloat16 are not.
+        scaled = (frames - frames.new_tensor(FEATURE_MEAN)) / frames.new_tensor(FEATURE_SPREAD)
+        shown = scaled if self.config.predictions else scaled[..., :2]
+        pooled = pool_windows(shown, stride, first)
+        # Differs from STAMP: optional. The mean alone shows what just changed a fifth as strong.
+        return torch.cat([pooled, shown[:, first:]], dim=-1) if self.config.newest else pooled
+
+    def decide(self, nodes: Tensor, graphs: Graphs, current: Tensor, previous: Tensor) -> Verdict:
         """From time-aware node features to the policy.
 
-        nodes: (B, L, V, d); current: (B, L) the agent's nodes.
+        nodes: (B, L, V, d); current: (B, L) the agent's nodes; previous: (B, L) those before them,
+        at the start of an episode the same
         """
         neighbours = _rows(graphs.neighbours, current)  # (B, L, k)
         queried = torch.cat([current[..., None], neighbours], dim=-1)
-        ways = _rows(graphs.distances, current).gather(2, queried)
+        distances = _rows(graphs.distances, current).gather(2, queried)[..., None]
         verdict: Verdict = self.decoder(
             self.spatial_encoder(nodes, graphs, queried),
-            ways,
+            _measures(distances, graphs, queried, previous) if self.config.geometry else distances,
             _rows(graphs.neighbour_mask, current),
         )
         return verdict
+
+
+def _measures(distances: Tensor, graphs: Graphs, queried: Tensor, previous: Tensor) -> Tensor:
+    """Where nodes lie, seen from the agent's, and where it comes from; lengths are in legs.
+
+    distances: (B, L, q, 1) au; queried: (B, L, q), the agent's node first; previous: (B, L) -> (B,
+    L, q, 6) offset, way, last leg, whether it is the previous node
+    """
+    # Differs from STAMP: optional. The paper's decoder is given the distance alone, in au.
+    places = _rows(graphs.coordinates, queried)  # (B, L, q, 2)
+    offset = places - places[:, :, :1]
+    leg = (places[:, :, :1] - _rows(graphs.coordinates, previous)[:, :, None]).expand_as(offset)
+    is_previous = (queried == previous[..., None])[..., None].to(places.dtype)
+    return torch.cat([*(x / LEG_AU for x in (offset, distances, leg)), is_previous], dim=-1)
 
 
 def _rows(table: Tensor, index: Tensor) -> Tensor:

@@ -63,11 +63,20 @@ def train_command(
     predictions: Annotated[
         bool, typer.Option("--predictions/--no-predictions", help="Show beliefs a little later.")
     ] = True,
+    newest: Annotated[
+        bool, typer.Option("--newest/--no-newest", help="Ours: show the newest belief by itself.")
+    ] = False,
     ways: Annotated[
         bool,
         typer.Option(
-            "--ways/--no-ways",
-            help="Tell nodes how far apart they are.",
+            "--ways/--no-ways", help="Ours: tell nodes how far apart they are, and by which way."
+        ),
+    ] = False,
+    geometry: Annotated[
+        bool,
+        typer.Option(
+            "--geometry/--no-geometry",
+            help="Ours: tell the decoder where neighbours lie and where the agent comes from.",
         ),
     ] = False,
     episodes: Annotated[
@@ -103,7 +112,9 @@ def train_command(
             feed_forward=feed_forward if feed_forward is not None else 4 * width,
             temporal=temporal.value,
             predictions=predictions,
+            newest=newest,
             ways=ways,
+            geometry=geometry,
         ),
         paper=paper,
         expert=expert,

@@ -30,7 +30,7 @@ NUM_NEIGHBOURS = 10
 class Lesson:
     """A rollout and what the teacher thought of it.
 
-    rollout: the episodes, with windows in float16 to save room; gains: (B, L, k) float32 by way of
+    rollout: the episodes, with frames in float16 to save room; gains: (B, L, k) float32 by way of
     each neighbour, -inf where there is none
     """
 
@@ -152,7 +152,7 @@ def teach(
         num_decisions=num_decisions,
         choose=choose,
     )
-    segment = replace(rollout.segment, windows=rollout.segment.windows.half())
+    segment = replace(rollout.segment, frames=rollout.segment.frames.half())
     return Lesson(rollout=replace(rollout, segment=segment), gains=torch.stack(gains, dim=1))
 
 

@@ -76,7 +76,6 @@ def play(
             seen[-1].target_mask,
             lengths_au[:, :-1],
             torch.stack([o.node for o in seen], dim=1),
-            network.config.stride_for(history),
         ),
         actions=torch.stack(actions, dim=1),
         logits=torch.cat([v.logits for v in verdicts], dim=1),

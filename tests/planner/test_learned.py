@@ -26,7 +26,9 @@ NUM_NODES, SPEED = 30, 0.1
 def make_planner() -> tuple[LearnedPlanner, PolicyNetwork]:
     with torch.random.fork_rng():
         torch.manual_seed(1)
-        network = PolicyNetwork(NetworkConfig(width=16, feed_forward=24)).eval()
+        network = PolicyNetwork(
+            NetworkConfig(width=16, feed_forward=24, newest=True, ways=True, geometry=True)
+        ).eval()
     checkpoint = Checkpoint(network=network, card=CARD)
     return LearnedPlanner(checkpoint, history=10), network
 

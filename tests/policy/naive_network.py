@@ -42,10 +42,12 @@ def naive_layer(layer: nn.Module, query: Tensor, source: Tensor, mask: Tensor) -
     return residual.norm_out(hidden + residual.feed_forward(hidden))
 
 
-def naive_windows(frames: Tensor, decision: int, stride: int, count: int) -> list[Tensor]:
-    """The windows a decision sees, newest first. frames: (L, ...)."""
+def naive_windows(
+    frames: Tensor, decision: int, stride: int, count: int, width: int | None = None
+) -> list[Tensor]:
+    """The windows a decision sees, newest first; of their newest frames only. frames: (L, ...)."""
     ends = [decision - stride * i for i in range(count) if decision - stride * i >= 0]
-    return [frames[max(0, end - stride + 1) : end + 1].mean(0) for end in ends]
+    return [frames[max(0, end - (width or stride) + 1) : end + 1].mean(0) for end in ends]
 
 
 def naive_verdict(
@@ -54,25 +56,26 @@ def naive_verdict(
     frames: Tensor,
     target_mask: Tensor,
     lengths_au: Tensor,
-    current: int,
+    nodes: tuple[int, int],
     history: int,
 ) -> tuple[Tensor, Tensor]:
     """Logits (k,) and value () of the last decision of one episode.
 
-    frames: (L, V, N, F); graphs: of one episode.
+    frames: (L, V, N, 4); graphs: of one episode; nodes: the agent's, and the one before.
     """
     config = network.config
     stride = min(config.stride, history)
     count = math.ceil(history / stride) if config.temporal == "attention" else len(frames)
-    decision = len(frames) - 1
-    windows = torch.stack(naive_windows(frames, decision, stride, count))[
-        ..., : config.num_features
-    ]
+    decision, (current, previous) = len(frames) - 1, nodes
+    windows = torch.stack(naive_windows(frames, decision, stride, count))  # (W, V, N, 4)
+    newest = torch.stack(naive_windows(frames, decision, stride, count, width=1))
+    centre, spread = windows.new_tensor([[0.0, 0.9, 0.0, 0.96], [0.12, 0.17, 0.08, 0.06]])
+    shown = [windows, newest] if config.newest else [windows]
+    kept = 4 if config.predictions else 2
+    features = torch.cat([((w - centre) / spread)[..., :kept] for w in shown], dim=-1)
     marks_au = torch.stack(naive_windows(lengths_au, decision, stride, count))
     coordinates = network.target_encoder.coordinates(graphs.coordinates[0])  # (V, d)
-    centred = windows - windows.new_tensor([0.0, 0.9, 0.0, 0.96])[: windows.shape[-1]]
-    scaled = centred / windows.new_tensor([0.12, 0.17, 0.08, 0.06])[: windows.shape[-1]]
-    beliefs = network.target_encoder.belief(scaled)  # (W, V, N, d)
+    beliefs = network.target_encoder.belief(features)  # (W, V, N, d)
     encoded = naive_layer(
         network.target_encoder,
         coordinates[None, :, None].expand(len(windows), -1, -1, -1),
@@ -91,10 +94,19 @@ def naive_verdict(
         timed = encoded.flip(0) + network.temporal.length(gaps[:, None].to(encoded.dtype))[:, None]
         aware = network.temporal.cell(timed.transpose(0, 1))[0][:, -1]
     spatial = network.spatial_encoder
-    nodes = (aware + spatial.eigenvectors(graphs.eigenvectors[0]))[None]
-    nodes = _related_layer(spatial, nodes, graphs)[0]
-    ways = graphs.distances[0, current]
-    placed = network.decoder.distance(torch.cat([nodes, ways[:, None]], dim=-1))
+    related = _related_layer(
+        spatial, (aware + spatial.eigenvectors(graphs.eigenvectors[0]))[None], graphs, current
+    )[0]
+    ways = graphs.distances[0, current][:, None]
+    if config.geometry:
+        places = graphs.coordinates[0]
+        leg = (places[current] - places[previous]).expand_as(places)
+        came_from = torch.zeros_like(ways)
+        came_from[previous] = 1.0
+        ways = torch.cat(
+            [(places - places[current]) / 0.1, ways / 0.1, leg / 0.1, came_from], dim=-1
+        )
+    placed = network.decoder.distance(torch.cat([related, ways], dim=-1))
     neighbours = placed[graphs.neighbours[0, current]]
     mask = graphs.neighbour_mask[0, current]
     chosen = naive_layer(network.decoder, placed[current][None], neighbours, mask[None])[0]
@@ -103,14 +115,18 @@ def naive_verdict(
     return logits.masked_fill(~mask, -torch.inf), network.decoder.value(chosen)[0]
 
 
-def _related_layer(spatial: nn.Module, nodes: Tensor, graphs: Graphs) -> Tensor:
+def _related_layer(spatial: nn.Module, nodes: Tensor, graphs: Graphs, current: int) -> Tensor:
     """The spatial encoder, with a key and a value for each pair of nodes. nodes: (1, V, d)."""
     if spatial.ways is None:
         return naive_layer(spatial, nodes, nodes, graphs.node_mask[:, None])
     maps = spatial.attention
     width = nodes.shape[-1] // maps.num_heads
     reaches = nodes.new_tensor(spatial.ways.REACHES_AU)
-    closeness = torch.exp(-graphs.distances[0][..., None] / reaches)  # (V, V, R)
+    distances = graphs.distances[0]
+    detours = distances[current][:, None] + distances - distances[current]
+    closeness = torch.exp(
+        -torch.cat([distances[..., None] / reaches, detours[..., None] / 0.1], dim=-1)
+    )  # (V, V, R)
     heads = []
     for head in range(maps.num_heads):
         rows = slice(head * width, (head + 1) * width)

@@ -49,7 +49,7 @@ def test_a_lesson_comes_back_from_its_file(tmp_path: Path) -> None:
     write_atomically(tmp_path / "lesson.pt", lesson.to_parts())
     again = Lesson.from_parts(read_tensors(tmp_path / "lesson.pt"))
     assert torch.equal(again.gains, lesson.gains)
-    assert torch.equal(again.rollout.segment.windows, lesson.rollout.segment.windows)
+    assert torch.equal(again.rollout.segment.frames, lesson.rollout.segment.frames)
     assert torch.equal(
         again.rollout.segment.graphs.distances, lesson.rollout.segment.graphs.distances
     )

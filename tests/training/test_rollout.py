@@ -28,7 +28,9 @@ def make_rollout(network: PolicyNetwork, seed: int, num_decisions: int = 20) -> 
 def make_network() -> PolicyNetwork:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return PolicyNetwork(NetworkConfig(width=16, feed_forward=24))
+        return PolicyNetwork(
+            NetworkConfig(width=16, feed_forward=24, newest=True, ways=True, geometry=True)
+        )
 
 
 def test_a_training_pass_repeats_the_players_verdicts() -> None:
