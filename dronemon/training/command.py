@@ -40,7 +40,7 @@ class TemporalName(StrEnum):
 def train_command(
     recipe: Annotated[
         RecipeName,
-        typer.Option(help="paper: PPO from scratch. expert: imitate the search planner, then PPO."),
+        typer.Option(help="paper: PPO from scratch. expert: imitate the search planner."),
     ] = RecipeName.EXPERT,
     out: Annotated[Path, typer.Option(help="Folder of the run; a run found there goes on.")] = Path(
         "runs/train"
@@ -84,8 +84,9 @@ def train_command(
     ] = None,
     decisions: Annotated[int, typer.Option(min=2, help="Decisions per episode.")] = 256,
     imitation_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="expert: share of the time before PPO.")
-    ] = 0.75,
+        float,
+        typer.Option(min=0.0, max=1.0, help="expert: share of the time, PPO takes the rest."),
+    ] = 1.0,
     validation_minutes: Annotated[
         float, typer.Option(min=0.0, help="How often to fly the development seeds.")
     ] = 10.0,

@@ -3,7 +3,7 @@
 Each round the student flies (at first the teacher does), the teacher scores every neighbour of
 every node reached, and the student learns from all lessons so far (dataset aggregation). The
 teacher's best choice is chance where neighbours tie, so the student learns the softmax of its
-scores. The last part of the time budget is PPO from there.
+scores. The last part of the time budget can be PPO from there.
 
 Source: Ross, Gordon & Bagnell (2011), algorithm 3.1.
 """
@@ -17,7 +17,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
@@ -47,6 +47,11 @@ from dronemon.training.ppo import (
     scaled_rewards,
 )
 
+if TYPE_CHECKING:
+    from multiprocessing.sharedctypes import Synchronized
+
+T = TypeVar("T")
+
 # Differs from STAMP: what is rewarded, and targets as many and as fast as Table I has them.
 FINISH = PpoConfig(
     objective="unc",
@@ -64,19 +69,18 @@ _NO_CARD = Card(recipe="expert", command="", commit="", date="", seeds="")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpertConfig:
-    """Settings of the recipe; ranges are inclusive.
+    """Settings of the recipe; ranges are inclusive, episodes count over all processes.
 
-    round_episodes: taught each round, over all workers (0 workers: one per core); first_episodes:
-    of the first round, which the teacher flies; taught_share: of later episodes, that it flies;
-    updates: of the network each round, each from minibatch_episodes (over all processes);
-    temperature: in the teacher's score, of the soft targets;
-    imitation_share: of the time budget, before PPO; symmetries: learn each episode in the eight
-    ways of seeing the square.
+    round_episodes: taught each round, lesson_episodes of them with the same V, N and T;
+    taught_shares: of episodes that the teacher flies, each from a round on; updates: of the network
+    each round; temperature: of the soft targets, as a share of a decision's largest gain; workers:
+    that give lessons, over all processes (0: one per core); imitation_share: of the time budget,
+    before PPO; symmetries: learn each episode in the eight ways of seeing the square.
     """
 
     round_episodes: int = 16
-    first_episodes: int = 32
-    taught_share: float = 0.2
+    lesson_episodes: int = 4
+    taught_shares: tuple[tuple[int, float], ...] = ((0, 1.0), (3, 0.5), (9, 0.15))
     greedy_share: float = 0.5
     decisions: int = 256
     updates: int = 128
@@ -85,19 +89,27 @@ class ExpertConfig:
     final_learning_rate: float = 2e-5
     warmup_updates: int = 50
     max_gradient: float = 1.0
-    value_weight: float = 0.05
-    temperature: float = 2.0
-    imitation_share: float = 0.75
+    temperature: float = 0.01
+    imitation_share: float = 1.0
     symmetries: bool = True
     precision: Precision = "bfloat16"
     workers: int = 0
     teacher_drawn: int = 200
     teacher_refined: int = 150
-    max_speed_ratio: float = 0.15
-    num_nodes: tuple[int, int] = (100, 200)
+    speed_ratio: tuple[float, float] = (0.025, 0.15)
+    num_nodes: tuple[int, int] = (150, 200)
     history: tuple[int, int] = (50, 100)
     num_targets: tuple[int, int] = (2, 8)
     finish: PpoConfig = FINISH
+
+    @property
+    def value_weight(self) -> float:
+        """Of the value's loss beside the policy's; without PPO nobody needs the value."""
+        return 0.05 if self.imitation_share < 1.0 else 0.01
+
+    def taught_share(self, number: int) -> float:
+        """Share of a round's episodes that the teacher flies."""
+        return max((first, share) for first, share in self.taught_shares if first <= number)[1]
 
 
 class Expert:
@@ -118,9 +130,9 @@ class Expert:
         self._seed = seed
         self._device = device
         self._peers = peers
-        self._folder = folder / f"process-{peers.rank}"
+        self._folder = folder
         self._lessons: list[Lesson] = []
-        self._num_rounds = 0
+        self._files: list[list[str]] = []  # of each round, over all processes
         self._num_updates = 0
         self._optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
         self._finish = Ppo(network, config.finish, seed=seed, device=device, peers=peers)
@@ -133,7 +145,7 @@ class Expert:
     def state(self) -> dict[str, Any]:
         """All that the next iteration depends on, besides the weights and the lessons on disk."""
         return {
-            "rounds": self._num_rounds,
+            "files": self._files,
             "updates": self._num_updates,
             "optimizer": self._optimizer.state_dict(),
             "finish": self._finish.state(),
@@ -141,12 +153,11 @@ class Expert:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on where `state` was taken; lessons of later rounds are given again."""
-        self._num_rounds, self._num_updates = state["rounds"], state["updates"]
+        self._files, self._num_updates = state["files"], state["updates"]
         self._optimizer.load_state_dict(state["optimizer"])
         self._finish.restore(state["finish"])
-        for number in range(self._num_rounds):
-            for path in sorted(self._folder.glob(f"round-{number:04d}-*.pt")):
-                self._lessons.append(Lesson.from_parts(read_tensors(path)))
+        for files in self._files:
+            self._lessons += [self._read(name) for name in self._own(files)]
 
     def iterate(self, progress: float) -> dict[str, float]:
         """A round of lessons and the updates after it, or an iteration of PPO."""
@@ -157,11 +168,11 @@ class Expert:
         self._lessons += taken
         played = time.perf_counter()
         metrics = self._learn(progress / self.config.imitation_share)
-        self._num_rounds += 1
         learned = time.perf_counter()
         count = sum(lesson.gains[..., 0].numel() for lesson in taken) * self._peers.size
         return {
             **metrics,
+            **_judgement(taken),
             "unc": float(torch.cat([lesson.rollout.unc for lesson in taken]).mean()),
             "reward": float(torch.cat([lesson.rollout.rewards for lesson in taken]).mean()),
             "episodes": float(sum(len(lesson.gains) for lesson in self._lessons)),
@@ -172,34 +183,38 @@ class Expert:
         }
 
     def _take_lessons(self) -> list[Lesson]:
-        """One round, shared among worker processes; each writes a file."""
-        config, number = self.config, self._num_rounds
+        """Own share of a round, given by worker processes; each lesson is a file."""
+        config, number, size = self.config, len(self._files), self._peers.size
         self._folder.mkdir(parents=True, exist_ok=True)
-        student = self._folder / "student.pt"
+        student = self._folder / f"student-{self._peers.rank}.pt"
         save_checkpoint(student, self.network, _NO_CARD)
-        workers = config.workers or os.cpu_count() or 1
-        count = config.round_episodes if number else config.first_episodes
-        count = max(1, count // self._peers.size)
-        shares = [len(part) for part in np.array_split(range(count), min(workers, count))]
-        paths = [self._folder / f"round-{number:04d}-{i:02d}.pt" for i in range(len(shares))]
+        count = size * math.ceil(config.round_episodes / config.lesson_episodes / size)
+        files = [f"round-{number:04d}-{part:02d}.pt" for part in range(count)]
         jobs = [
             _Job(
                 config=config,
                 student=student,
-                path=path,
-                seed=(self._seed, number, self._peers.rank, index),
-                episodes=share,
-                is_first=number == 0,
+                path=self._folder / files[part],
+                seed=(self._seed, number, part),
+                taught_share=config.taught_share(number),
             )
-            for index, (path, share) in enumerate(zip(paths, shares, strict=True))
+            for part in self._own(range(count))
         ]
-        _do_all(jobs)
-        return [Lesson.from_parts(read_tensors(path)) for path in paths]
+        _do_all(jobs, max(1, (config.workers or os.cpu_count() or 1) // size))
+        self._files.append(files)
+        return [self._read(name) for name in self._own(files)]
+
+    def _own(self, parts: Sequence[T]) -> Sequence[T]:
+        """The share of this process in the parts of a round."""
+        return parts[self._peers.rank :: self._peers.size]
+
+    def _read(self, name: str) -> Lesson:
+        return Lesson.from_parts(read_tensors(self._folder / name))
 
     def _learn(self, progress: float) -> dict[str, float]:
         """Updates on random episodes of all lessons. progress: of the imitation, 0 to 1."""
         config = self.config
-        rng = np.random.default_rng([self._seed, self._num_rounds, self._peers.rank, 99])
+        rng = np.random.default_rng([self._seed, len(self._files), self._peers.rank, 99])
         episodes = [(lesson, i) for lesson in self._lessons for i in range(len(lesson.gains))]
         size = min(max(1, config.minibatch_episodes // self._peers.size), len(episodes))
         cosine = 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
@@ -244,7 +259,7 @@ class Expert:
         history = int(rng.integers(config.history[0], config.history[1] + 1))
         with in_precision(config.precision, self._device):
             verdict = self.network(segment, history)
-        targets = (gains / config.temperature).softmax(-1)
+        targets = (gains / (config.temperature * _largest(gains))).softmax(-1)
         log_chances = verdict.logits.log_softmax(-1).masked_fill(gains.isinf(), 0.0)
         loss = -(targets * log_chances).sum(-1).mean()
         rewards = scaled_rewards(rollout, config.finish)
@@ -253,30 +268,45 @@ class Expert:
         returns = advantages(rewards, rollout.values, never, discount, 1.0) + rollout.values[:, :-1]
         value_loss = (verdict.value - returns[episode].to(self._device)).square().mean()
         torch.autograd.backward((loss + config.value_weight * value_loss) / count)
-        choice, best = verdict.logits.argmax(-1, keepdim=True), gains.amax(-1, keepdim=True)
         return {
             "imitation_loss": loss.detach(),
             "value_loss": value_loss.detach(),
             "entropy": entropy(verdict.logits).mean().detach(),
-            "regret": ((best - gains.gather(-1, choice)) / config.temperature).mean(),
-            "agreement": (gains.gather(-1, choice) == best).float().mean(),
         }
+
+
+def _largest(gains: Tensor) -> Tensor:
+    """Size of each decision's largest gain, by which others are judged. (..., k) -> (..., 1)."""
+    return gains.amax(-1, keepdim=True).abs().clamp(min=1e-3)
+
+
+def _judgement(lessons: Sequence[Lesson]) -> dict[str, float]:
+    """How the teacher sees what the student would have chosen, before it learned from them."""
+    regret, is_best = [], []
+    for lesson in lessons:
+        gains, choice = lesson.gains, lesson.rollout.logits.argmax(-1, keepdim=True)
+        lost = gains.amax(-1, keepdim=True) - gains.gather(-1, choice)
+        regret.append((lost / _largest(gains)).flatten())
+        is_best.append((lost == 0.0).float().flatten())
+    return {
+        "regret": float(torch.cat(regret).mean()),
+        "agreement": float(torch.cat(is_best).mean()),
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Job:
-    """A worker's share of a round; everything follows from its seed."""
+    """A lesson to give; everything follows from its seed."""
 
     config: ExpertConfig
     student: Path
     path: Path
     seed: tuple[int, ...]
-    episodes: int
-    is_first: bool
+    taught_share: float
 
     def do(self) -> None:
-        """Give the lessons and write them down."""
-        config = self.config
+        """Give the lesson and write it down."""
+        config, count = self.config, self.config.lesson_episodes
         rng = np.random.default_rng(self.seed)
         num_nodes, history, num_targets = (
             int(rng.integers(low, high + 1))
@@ -287,15 +317,15 @@ class _Job:
                 seed=FIRST_SEED + int(rng.integers(2**40)),
                 num_targets=num_targets,
                 num_nodes=num_nodes,
-                speed_ratio=float(rng.uniform(0.0, config.max_speed_ratio)),
+                speed_ratio=float(rng.uniform(*config.speed_ratio)),
             )
-            for _ in range(self.episodes)
+            for _ in range(count)
         ]
         lesson = teach(
             load_checkpoint(self.student).network,
             setups,
-            is_taught=(rng.random(self.episodes) < (self.is_first or config.taught_share)).tolist(),
-            is_greedy=(rng.random(self.episodes) < config.greedy_share).tolist(),
+            is_taught=(rng.random(count) < self.taught_share).tolist(),
+            is_greedy=(rng.random(count) < config.greedy_share).tolist(),
             history=history,
             num_decisions=config.decisions,
             settings=SearchSettings(
@@ -306,25 +336,38 @@ class _Job:
         write_atomically(self.path, lesson.to_parts())
 
 
-def _do_all(jobs: Sequence[_Job]) -> None:
-    """Do jobs side by side, one process each; here, if there is only one.
+def _do_all(jobs: Sequence[_Job], num_workers: int) -> None:
+    """Do jobs side by side in processes; here, if there is only one.
 
-    Processes end with their job, so none is left over when this one is killed.
+    Processes end with the job they are at when this one is killed.
     """
-    if len(jobs) == 1:
-        jobs[0].do()
+    num_workers = min(num_workers, len(jobs))
+    if num_workers == 1:
+        for job in jobs:
+            job.do()
         return
     context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=_do, args=(job,), daemon=True) for job in jobs]
+    num_taken = context.Value("i", 0)
+    processes = [
+        context.Process(target=_do, args=(jobs, num_taken), daemon=True) for _ in range(num_workers)
+    ]
     for process in processes:
         process.start()
     for process in processes:
         process.join()
     failed = [process.exitcode for process in processes if process.exitcode]
     if failed:
-        raise PolicyError(f"{len(failed)} of {len(jobs)} teaching processes failed: see above")
+        raise PolicyError(f"{len(failed)} of {num_workers} teaching processes failed: see above")
 
 
-def _do(job: _Job) -> None:
+def _do(jobs: Sequence[_Job], num_taken: Synchronized[int]) -> None:
+    """Do jobs that no other process has taken."""
     torch.set_num_threads(1)
-    job.do()
+    parent = multiprocessing.parent_process()
+    while parent is not None and parent.is_alive():
+        with num_taken.get_lock():
+            index = num_taken.value
+            num_taken.value += 1
+        if index >= len(jobs):
+            return
+        jobs[index].do()

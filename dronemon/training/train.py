@@ -52,8 +52,9 @@ METRICS: dict[str, str] = {
     "kl": "estimate of the divergence from the policy that played",
     "clipped": "share of decisions whose probability ratio left the clip range",
     "imitation_loss": "cross-entropy between the teacher's soft choice and the policy",
-    "regret": "the teacher's score lost by the student's choices, in soft-target temperatures",
-    "agreement": "share of decisions in which student and teacher would choose alike",
+    "regret": "share of the teacher's largest gain that the student's choices would lose, in the"
+    " round's new lessons before it learned from them",
+    "agreement": "share of the same decisions in which student and teacher would choose alike",
     "episodes": "taught episodes in the dataset",
     "val_unc": "mean of sigma_bar, flying greedily on development seeds; chooses the best",
     "val_reward": "paper's reward per decision, the same episodes",

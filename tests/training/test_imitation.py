@@ -1,7 +1,8 @@
-"""A step of imitation is a step on the mean of its episodes, whatever lessons they are of."""
+"""Lessons come in rounds, exactly as many as count, and a step learns from several of them."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,8 @@ from torch import Tensor
 
 from dronemon.env import Setup
 from dronemon.planner.search import SearchSettings
-from dronemon.policy import NetworkConfig, PolicyNetwork
-from dronemon.training.imitation import Expert, ExpertConfig
+from dronemon.policy import NetworkConfig, PolicyNetwork, read_tensors
+from dronemon.training.imitation import Expert, ExpertConfig, _judgement
 from dronemon.training.lessons import Lesson, teach
 from dronemon.training.peers import Peers
 
@@ -21,11 +22,18 @@ CONFIG = ExpertConfig(
 )
 
 
-def make_expert(folder: Path, config: ExpertConfig = CONFIG) -> Expert:
+def make_expert(folder: Path, config: ExpertConfig = CONFIG, peers: Peers | None = None) -> Expert:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         network = PolicyNetwork(NetworkConfig(width=16, num_heads=2, feed_forward=24))
-    return Expert(network, config, seed=0, device=torch.device("cpu"), peers=Peers(), folder=folder)
+    return Expert(
+        network,
+        config,
+        seed=0,
+        device=torch.device("cpu"),
+        peers=peers if peers is not None else Peers(),
+        folder=folder,
+    )
 
 
 def make_lesson(expert: Expert, seed: int, num_nodes: int) -> Lesson:
@@ -58,3 +66,57 @@ def test_a_minibatch_is_the_mean_over_episodes_of_different_lessons(tmp_path: Pa
     for both, first, second in zip(gradients(expert), *alone, strict=True):
         torch.testing.assert_close(both, (first + second) / 2.0, rtol=1e-4, atol=1e-6)
     assert {int(s["step"]) for s in expert._optimizer.state.values()} == {1}
+
+
+def test_the_teacher_flies_less_from_round_to_round() -> None:
+    shares = [ExpertConfig().taught_share(number) for number in (0, 2, 3, 8, 9, 500)]
+    assert shares == [1.0, 1.0, 0.5, 0.5, 0.15, 0.15]
+
+
+def test_regret_is_a_share_of_the_largest_gain(tmp_path: Path) -> None:
+    lesson = make_lesson(make_expert(tmp_path), 10_000, 20)
+    logits = torch.full_like(lesson.rollout.logits, -torch.inf)
+    logits[..., 1] = 0.0
+    gains = torch.tensor([200.0, 150.0, -torch.inf]).expand(1, CONFIG.decisions, 3)
+    lesson = replace(lesson, gains=gains, rollout=replace(lesson.rollout, logits=logits[..., :3]))
+    assert _judgement([lesson]) == {"regret": 0.25, "agreement": 0.0}
+
+
+def give_round(folder: Path, *, workers: int) -> Expert:
+    config = replace(
+        CONFIG,
+        round_episodes=3,
+        lesson_episodes=1,
+        workers=workers,
+        num_nodes=(20, 30),
+        num_targets=(2, 3),
+        teacher_drawn=20,
+        teacher_refined=10,
+    )
+    expert = make_expert(folder, config)
+    expert._take_lessons()
+    return expert
+
+
+def test_lessons_do_not_depend_on_who_gives_them(tmp_path: Path) -> None:
+    expert = give_round(tmp_path / "two", workers=2)
+    give_round(tmp_path / "one", workers=1)
+    for name in expert._files[0]:
+        first, second = (read_tensors(tmp_path / f / name)["gains"] for f in ("one", "two"))
+        assert torch.equal(first, second)
+
+
+def test_only_lessons_that_count_are_taken_up_again(tmp_path: Path) -> None:
+    expert = give_round(tmp_path, workers=1)
+    state = expert.state()
+    stale = tmp_path / "round-0000-07.pt"
+    stale.write_bytes((tmp_path / "round-0000-00.pt").read_bytes())
+    again = make_expert(tmp_path)
+    again.restore(state)
+    assert len(again._lessons) == 3
+    shares = []
+    for rank in range(2):  # whoever goes on
+        again = make_expert(tmp_path, peers=Peers(rank=rank, size=2))
+        again.restore(state)
+        shares.append(len(again._lessons))
+    assert shares == [2, 1]

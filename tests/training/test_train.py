@@ -32,7 +32,7 @@ PAPER = PpoConfig(
 )
 EXPERT = ExpertConfig(
     round_episodes=2,
-    first_episodes=2,
+    lesson_episodes=1,
     decisions=8,
     updates=2,
     workers=1,
@@ -159,7 +159,7 @@ def test_a_run_survives_kill_9(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_two_minutes_of_training_improve_the_reward(tmp_path: Path) -> None:
-    options = ["--width", "32", "--ways", "--episodes", "4", "--imitation-share", "1"]
+    options = ["--width", "32", "--ways", "--episodes", "4"]
     options += ["--decisions", "96", "--validation-episodes", "8"]
     assert spawn(tmp_path / "untrained", 0.1, *options, "--recipe", "paper").wait() == 0
     assert spawn(tmp_path / "trained", 2.0, *options).wait() == 0
