@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from dronemon.training.imitation import ExpertConfig
 from dronemon.training.ppo import PpoConfig
 from dronemon.training.train import METRICS, Plan, train
 
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt
 _SHOWN = ("unc", "imitation_loss", "regret", "agreement", "kl", "val_unc", "decisions_per_s")
 
 
@@ -89,8 +91,10 @@ def train_command(
     ] = 1.0,
     validation_minutes: Annotated[
         float, typer.Option(min=0.0, help="How often to fly the development seeds.")
-    ] = 10.0,
-    validation_episodes: Annotated[int, typer.Option(min=1)] = 16,
+    ] = 14.0,
+    validation_episodes: Annotated[
+        int, typer.Option(min=1, help="How many of them, by the average of the weights.")
+    ] = 32,
 ) -> None:
     """Train a policy. Kill it whenever you like: the same command goes on where it was.
 
@@ -126,6 +130,7 @@ def train_command(
         validation_minutes=validation_minutes,
         validation_episodes=validation_episodes,
     )
+    _keep_freed_memory()
     if "WORLD_SIZE" in os.environ:
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
@@ -134,6 +139,14 @@ def train_command(
         best = train(plan, command=command, listen=display)
     if best.exists():
         console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
+
+
+def _keep_freed_memory() -> None:
+    """Have glibc keep what is freed; fetching each large tensor anew would cost a third more."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(_M_MMAP_MAX, 0)
+        libc.mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
 
 
 class _Display:

@@ -136,6 +136,7 @@ class Expert:
         self._num_updates = 0
         self._optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
         self._finish = Ppo(network, config.finish, seed=seed, device=device, peers=peers)
+        self.average = self._finish.average
 
     @property
     def settings(self) -> dict[str, object]:
@@ -243,6 +244,7 @@ class Expert:
         self._peers.average_gradients(self.network)
         gradient = nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_gradient)
         self._optimizer.step()
+        self.average.update_parameters(self.network)
         means = {name: torch.stack([row[name] for row in rows]).mean() for name in rows[0]}
         return {**means, "gradient": gradient}
 

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from dronemon.env import Env, Setup
 from dronemon.policy import PolicyNetwork, Segment, Verdict
@@ -22,6 +23,8 @@ from dronemon.training.rollout import Rollout, play, sampled
 
 FIRST_SEED = 1_000_000
 """Training instances have seeds from here on; below are development and evaluation."""
+AVERAGE_DECAY = 0.998
+"""Of the moving average of the weights, an update later."""
 Precision = Literal["float32", "bfloat16"]
 """What matrix products are computed in while learning; weights and logits are always float32."""
 
@@ -74,6 +77,8 @@ class Ppo:
         peers: Peers,
     ) -> None:
         self.network = network
+        # Differs from STAMP: what is judged and kept is an average, which wavers less.
+        self.average = AveragedModel(network, avg_fn=_averaged)
         self.config = config
         self._seed = seed
         self._device = device
@@ -88,12 +93,17 @@ class Ppo:
 
     def state(self) -> dict[str, Any]:
         """All that the next iteration depends on, besides the weights."""
-        return {"iterations": self._num_iterations, "optimizer": self._optimizer.state_dict()}
+        return {
+            "iterations": self._num_iterations,
+            "optimizer": self._optimizer.state_dict(),
+            "average": self.average.state_dict(),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on where `state` was taken."""
         self._num_iterations = state["iterations"]
         self._optimizer.load_state_dict(state["optimizer"])
+        self.average.load_state_dict(state["average"])
 
     def iterate(self, progress: float) -> dict[str, float]:
         """Play a batch of episodes, then learn from it. progress: unused, the paper's is fixed."""
@@ -185,6 +195,7 @@ class Ppo:
                 self._peers.average_gradients(self.network)
                 gradient = nn.utils.clip_grad_norm_(self.network.parameters(), config.max_gradient)
                 self._optimizer.step()
+                self.average.update_parameters(self.network)
                 steps += 1
                 for name, value in {
                     "policy_loss": policy_loss,
@@ -211,6 +222,12 @@ def in_precision(precision: Precision, device: torch.device) -> torch.autocast:
     """Context in which the network computes its products in a precision."""
     is_narrow = precision == "bfloat16"
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=is_narrow)
+
+
+def _averaged(mean: Tensor, weight: Tensor, count: Tensor | int) -> Tensor:
+    """Moving average of a weight, over fewer updates while they are few."""
+    decay = min(AVERAGE_DECAY, (1.0 + float(count)) / (10.0 + float(count)))
+    return torch.lerp(weight, mean, decay)
 
 
 def _log_chance(logits: Tensor, actions: Tensor) -> Tensor:

@@ -2,7 +2,8 @@
 
 A run is a folder. `state.pt` holds everything the next iteration depends on and is replaced after
 each, so a kill at any point costs at most the iteration under way; `metrics.jsonl` holds a line per
-iteration; `best.pt` and `best.md` are the weights with the lowest `val_unc` so far, and their card.
+iteration; `best.pt` and `best.md` are the averaged weights with the lowest `val_unc` so far, and
+their card.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import torch
+from torch.optim.swa_utils import AveragedModel
 
 from dronemon.errors import CheckpointMismatch
 from dronemon.policy import (
@@ -61,11 +63,13 @@ METRICS: dict[str, str] = {
     "val_lost": "share of targets with sigma_bar > 0.9, the same episodes",
 }
 """Every number that training logs, and what it means."""
-STATE_FORMAT = "dronemon training 1"
+STATE_FORMAT = "dronemon training 2"
 
 
 class Recipe(Protocol):
-    """A way to train: `iterate` plays and learns once."""
+    """A way to train: `iterate` plays and learns once; the average is what is worth keeping."""
+
+    average: AveragedModel
 
     @property
     def settings(self) -> dict[str, object]:
@@ -110,8 +114,8 @@ class Plan:
     minutes: float = 60.0
     seed: int = 0
     device: str = "auto"
-    validation_minutes: float = 10.0
-    validation_episodes: int = 16
+    validation_minutes: float = 14.0
+    validation_episodes: int = 32
     validation_decisions: int = 300
 
     @property
@@ -145,6 +149,7 @@ def train(plan: Plan, *, command: str, listen: Listener) -> Path:
 
     Raises CheckpointMismatch if `plan.out` holds a run of another plan, or the start is unusable.
     """
+    code_version()  # for the card: the files may change while it trains
     device = own_device(plan.device)
     with join_peers(device) as peers:
         network = _first_weights(plan).to(device)
@@ -161,7 +166,7 @@ def train(plan: Plan, *, command: str, listen: Listener) -> Path:
             is_due = run.elapsed_s - run.validated_s >= 60.0 * plan.validation_minutes
             if is_due or run.elapsed_s >= budget_s:
                 began = time.monotonic()
-                metrics |= _measure(plan, network, device) if peers.is_first else {}
+                metrics |= _measure(plan, recipe, device) if peers.is_first else {}
                 _spend(run, began, peers, device)
                 run.validated_s = run.elapsed_s
             row = {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
@@ -220,9 +225,16 @@ def _resume(plan: Plan, network: PolicyNetwork, recipe: Recipe) -> _Run:
     return _Run(**state["run"])
 
 
-def _measure(plan: Plan, network: PolicyNetwork, device: torch.device) -> dict[str, float]:
+def _average(recipe: Recipe) -> PolicyNetwork:
+    """The network with averaged weights, which is validated and kept."""
+    network = recipe.average.module
+    assert isinstance(network, PolicyNetwork)
+    return network
+
+
+def _measure(plan: Plan, recipe: Recipe, device: torch.device) -> dict[str, float]:
     return validate(
-        network,
+        _average(recipe),
         episodes=plan.validation_episodes,
         decisions=plan.validation_decisions,
         device=device,
@@ -245,7 +257,7 @@ def _record(
         run.curve.append({name: row[name] for name in names})
         if row["val_unc"] < run.best_unc:
             run.best_unc = row["val_unc"]
-            _keep(plan, network, recipe, run, row, command)
+            _keep(plan, recipe, run, row, command)
     with (plan.out / "metrics.jsonl").open("a", encoding="utf-8") as file:
         file.write(json.dumps(row) + "\n")
         file.flush()
@@ -264,13 +276,13 @@ def _record(
 
 def _keep(
     plan: Plan,
-    network: PolicyNetwork,
     recipe: Recipe,
     run: _Run,
     row: dict[str, float],
     command: str,
 ) -> None:
     """Write the best weights so far, with their card."""
+    network = _average(recipe)
     card = Card(
         recipe=plan.recipe,
         command=command,

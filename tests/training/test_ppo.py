@@ -49,6 +49,21 @@ def test_the_first_pass_is_still_the_policy_that_played() -> None:
     assert metrics["clipped"] == 0.0
 
 
+def test_the_average_follows_the_weights_and_comes_back() -> None:
+    ppo = make_ppo(replace(CONFIG, epochs=1, minibatch_episodes=1))
+    rollout = ppo.play()
+    values = []
+    for _ in range(3):
+        ppo.learn(rollout)
+        values.append(ppo.network.decoder.value.weight.detach().clone())
+    mean = ppo.average.module.decoder.value.weight.detach()
+    assert float((mean - values[2]).abs().max()) > 0.0
+    assert float((mean - values[2]).norm()) < float((mean - values[0]).norm())
+    again = make_ppo()
+    again.restore(ppo.state())
+    assert torch.equal(again.average.module.decoder.value.weight, mean)
+
+
 def test_the_curriculum_raises_the_targets_speed() -> None:
     still = make_ppo(replace(CONFIG, curriculum_episodes=10**9)).play()
     moving = make_ppo(replace(CONFIG, curriculum_episodes=0)).play()

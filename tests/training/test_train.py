@@ -85,6 +85,9 @@ def test_a_resumed_run_equals_one_that_was_never_interrupted(recipe: str, tmp_pa
     expected, found = (read_tensors(folder / "state.pt") for folder in (whole, parts))
     for name, value in expected["weights"].items():
         torch.testing.assert_close(found["weights"][name], value, rtol=0.0, atol=0.0)
+    best, again = (load_checkpoint(f / "best.pt").network.state_dict() for f in (whole, parts))
+    for name, value in best.items():
+        torch.testing.assert_close(again[name], value, rtol=0.0, atol=0.0)
     lines = (parts / "metrics.jsonl").read_text().splitlines()
     assert [json.loads(line)["iteration"] for line in lines] == [1, 2]
 
