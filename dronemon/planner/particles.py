@@ -48,7 +48,7 @@ class MotionSettings:
     trail_doubt: float = 0.9
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _turned(heading, quantiles, rng):  # type: ignore[no-untyped-def]
     """A new heading after a random turn to either side."""
     place = rng.random() * (quantiles.shape[0] - 1)
@@ -57,7 +57,7 @@ def _turned(heading, quantiles, rng):  # type: ignore[no-untyped-def]
     return heading + size if rng.random() < 0.5 else heading - size
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _step(x, y, heading, distance, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
     """Walk one target a short distance inside the square. -> x, y, heading."""
     if rng.random() < 1.0 - math.exp(-turns_per_au * distance):
@@ -71,7 +71,7 @@ def _step(x, y, heading, distance, turns_per_au, quantiles, rng):  # type: ignor
     return x, y, heading
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def walk(walkers, speeds, duration, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
     """Walk particles on, in place. walkers: (3, M) x, y, heading; speeds: (M,); duration: au."""
     for j in range(walkers.shape[1]):
@@ -86,7 +86,7 @@ def walk(walkers, speeds, duration, turns_per_au, quantiles, rng):  # type: igno
         )
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def refuted(walkers, agent, old_trail, trail_radius, trail_doubt, rng):  # type: ignore[no-untyped-def]
     """Particles that a miss removes: in view, or (perhaps) on the target's own trail. -> (K,)."""
     out = np.empty(walkers.shape[1], np.int64)
@@ -104,7 +104,7 @@ def refuted(walkers, agent, old_trail, trail_radius, trail_doubt, rng):  # type:
     return out[:count]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
     """Replace particles by walks from the last sighting that no miss since refutes. -> how many.
 

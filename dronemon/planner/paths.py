@@ -172,7 +172,7 @@ def make_tables(
     )
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def probe_ages(particles, first, points, counts, time_au, tables, out):  # type: ignore[no-untyped-def]
     """Equivalent age now of every probe, from what was measured in the belief's window.
 
@@ -200,7 +200,7 @@ def probe_ages(particles, first, points, counts, time_au, tables, out):  # type:
                 out[p, q] = tables.age_at[bin_] if bin_ < _REACH_BINS else NUM_AGES - 1
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untyped-def]
     """Posterior mean now of each target's presence, cell by cell.
 
@@ -239,7 +239,7 @@ def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untype
                         out[i, c, d] += weight[a] * _MATERN_AT[bin_]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untyped-def]
     """What a path gains. path: (H, 2); the last three arrays are scratch, as scene's of their size.
 
@@ -293,7 +293,7 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
     return total
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def nearest_node(ground, x, y):  # type: ignore[no-untyped-def]
     """Node at a place of the square, or -1 in free flight."""
     if ground.nodes.shape[0] == 0:
@@ -302,7 +302,7 @@ def nearest_node(ground, x, y):  # type: ignore[no-untyped-def]
     return ground.nearest[min(int(x * NEAREST_CELLS), last), min(int(y * NEAREST_CELLS), last)]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def advance(x, y, dx, dy):  # type: ignore[no-untyped-def]
     """Step (dx, dy) from inside the square; along the border, as far, if it would lead out."""
     to_x, to_y = x + dx, y + dy
@@ -319,7 +319,7 @@ def advance(x, y, dx, dy):  # type: ignore[no-untyped-def]
     return to_x, to_y
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def fly(goal_x, goal_y, goal_node, ground, path, k, x, y, node, due):  # type: ignore[no-untyped-def]
     """Fly to a goal, by its node if it has one, and write where measurements fall.
 
@@ -356,7 +356,7 @@ def fly(goal_x, goal_y, goal_node, ground, path, k, x, y, node, due):  # type: i
     return k, x, y, node, due, hop
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def draw_goal(scene, k, x, y, age, forget_steps, power, is_guided, scatter, goal, rng):  # type: ignore[no-untyped-def]
     """Draw where to fly next: mostly where a particle will be when it is reached. -> its target.
 
@@ -388,7 +388,7 @@ def draw_goal(scene, k, x, y, age, forget_steps, power, is_guided, scatter, goal
     return target
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def refine(goals, count, scene, size, rng):  # type: ignore[no-untyped-def]
     """Change a goal a little: move, drop, insert, swap, or cut the list there. -> its length."""
     g = int(rng.random() * min(count, 6))
@@ -418,7 +418,7 @@ def refine(goals, count, scene, size, rng):  # type: ignore[no-untyped-def]
     return g
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def search(start, ground, options, scene, tables, effort, last_goals, num_last, rng):  # type: ignore[no-untyped-def]
     """Find the path of the greatest gain.
 
