@@ -22,7 +22,7 @@ from torch import Tensor
 from dronemon.errors import CheckpointMismatch, PolicyError
 from dronemon.policy.network import NetworkConfig, PolicyNetwork
 
-FORMAT = "dronemon policy 1"
+FORMAT = "dronemon policy 2"
 DEFAULT_HISTORY = 100
 """T, the frames a policy remembers in flight and evaluation. Source: paper, section V-A."""
 

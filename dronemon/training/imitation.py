@@ -75,7 +75,8 @@ class ExpertConfig:
     taught_shares: of episodes that the teacher flies, each from a round on; updates: of the network
     each round; temperature: of the soft targets, as a share of a decision's largest gain; workers:
     that give lessons, over all processes (0: one per core); imitation_share: of the time budget,
-    before PPO; symmetries: learn each episode in the eight ways of seeing the square.
+    before PPO; symmetries: learn each episode in the eight ways of seeing the square;
+    teacher_drawn, teacher_refined: effort of each of the teacher's planners.
     """
 
     round_episodes: int = 16
@@ -94,8 +95,8 @@ class ExpertConfig:
     symmetries: bool = True
     precision: Precision = "bfloat16"
     workers: int = 0
-    teacher_drawn: int = 200
-    teacher_refined: int = 150
+    teacher_drawn: int = 100
+    teacher_refined: int = 75
     speed_ratio: tuple[float, float] = (0.025, 0.15)
     num_nodes: tuple[int, int] = (150, 200)
     history: tuple[int, int] = (50, 100)
