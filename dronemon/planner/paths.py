@@ -201,6 +201,25 @@ def probe_ages(particles, first, points, counts, time_au, tables, out):  # type:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
+def _solve(matrix, vector):  # type: ignore[no-untyped-def]
+    """Solve for a vector in place, by Cholesky; compiled much sooner than numpy's solver."""
+    n = vector.shape[0]
+    for a in range(n):
+        for b in range(a + 1):
+            rest = matrix[a, b]
+            for k in range(b):
+                rest -= matrix[a, k] * matrix[b, k]
+            matrix[a, b] = math.sqrt(rest) if a == b else rest / matrix[b, b]
+        for k in range(a):
+            vector[a] -= matrix[a, k] * vector[k]
+        vector[a] /= matrix[a, a]
+    for a in range(n - 1, -1, -1):
+        for k in range(a + 1, n):
+            vector[a] -= matrix[k, a] * vector[k]
+        vector[a] /= matrix[a, a]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
 def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untyped-def]
     """Posterior mean now of each target's presence, cell by cell.
 
@@ -225,7 +244,8 @@ def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untype
                 scaled = math.sqrt(3.0) * distance / LENGTH_SCALE_AU
                 covariance[a, b] = covariance[b, a] = (1.0 + scaled) * math.exp(-scaled)
             covariance[a, a] = 1.0 + _MEAN_JITTER
-        weight = np.linalg.solve(covariance, values[i, :n])
+        weight = values[i, :n].copy()
+        _solve(covariance, weight)
         for a in range(n):
             dt = time_au - points[i, a, 2]
             for c in range(size):
