@@ -231,17 +231,19 @@ def _factorise(table, counts, own, num_own, levels, jitter):
     values, negative, zero where a point is not a target's; how many factors do not exist.
     """
     size, num_targets = num_own.shape
-    most_common, most_rows = counts[:, 0].max(), _up(counts[:, 1].max(), _BLOCK)
-    most_own = 0
+    most_common, most_rows, most_own = 0, 0, 0
     for b in range(size):
+        most_common = max(most_common, counts[b, 0])
+        most_rows = max(most_rows, _up(counts[b, 1], _BLOCK))
         for i in range(num_targets):
             most_own = max(most_own, _up(num_own[b, i], _BLOCK))
-    factor = _aligned((size, most_common, _up(most_rows + num_targets, _VECTOR)))
+    width = _up(most_rows + num_targets, _VECTOR)
+    factor = _aligned(size * most_common, width).reshape((size, most_common, width))
     roots = np.empty((size, num_targets, most_own, most_own))
     weights = np.zeros((size, most_rows, _up(num_targets, _BLOCK)))
-    columns = _aligned((3, factor.shape[2]))
+    columns = _aligned(3, width)
     columns[:] = 0.0
-    part = _aligned((most_common + most_own, _up(most_own + 1, _VECTOR)))
+    part = _aligned(most_common + most_own, _up(most_own + 1, _VECTOR))
     num_failed = 0
     for b in range(size):
         num_common, num_rows = counts[b, 0], counts[b, 1]
@@ -271,14 +273,12 @@ def _up(number, multiple):
 
 
 @_compiled()
-def _aligned(shape):
+def _aligned(num_rows, width):
     """Memory that begins where vectors of the processor should: a quarter faster."""
-    size = 1
-    for length in shape:
-        size *= length
+    size = num_rows * width
     memory = np.empty(size + _VECTOR)
     skip = (_VECTOR - memory.ctypes.data // memory.itemsize % _VECTOR) % _VECTOR
-    return memory[skip : skip + size].reshape(shape)
+    return memory[skip : skip + size].reshape((num_rows, width))
 
 
 @_compiled()
@@ -296,7 +296,7 @@ def _factorise_common(table, num_common, levels, jitter, columns, factor):
         factor[row, num_rows:width] = 0.0
         for i in range(num_targets):
             factor[row, first + i] = levels[i, row]
-    return _cholesky(factor, 0, num_common, width)
+    return _cholesky(factor, np.int64(0), num_common, width)
 
 
 @_compiled()
@@ -347,7 +347,7 @@ def _cholesky(x, first, last, width):
                     block[i, i] = 1.0 / np.sqrt(entry)
                 else:
                     block[i, j] = entry * block[i, i]
-        _divide(block, 0, 0, x, row, width)
+        _divide(block, first - first, first - first, x, row, width)
         for i in range(_BLOCK):
             for j in range(_BLOCK):
                 x[row + i, column + j] = block[i, j] if j >= i else 0.0
@@ -437,8 +437,8 @@ def _predict(table, counts, own, num_own, factor, roots, weights, scale, query, 
     num_tiles = (m + _TILE - 1) // _TILE
     step = _up((m + num_tiles - 1) // num_tiles, _VECTOR)
     most_rows = weights.shape[1]
-    x = _aligned((most_rows + max(_BLOCK, roots.shape[2]), step))
-    columns, variance = _aligned((3, step)), _aligned((2, step))
+    x = _aligned(most_rows + max(_BLOCK, roots.shape[2]), step)
+    columns, variance = _aligned(3, step), _aligned(2, step)
     columns[:] = 0.0
     for b in range(size):
         num_rows = _up(counts[b, 1], _BLOCK)
@@ -496,7 +496,8 @@ def _write_deviation(root, rows, x, room, width, variance, out):
             own[k, j] = x[row, j]
     own[len(rows) :, :width] = 0.0
     _eliminate(root, r, own, r, width)
-    variance[1, :width] = variance[0, :width]
+    for j in range(width):
+        variance[1, j] = variance[0, j]
     _subtract_squares(own, r, width, variance[1])
     for j in range(len(out)):
         out[j] = np.sqrt(max(variance[1, j], 0.0))

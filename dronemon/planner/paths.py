@@ -265,8 +265,10 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
 
     Ages are kept less the time that has passed, so that they need not grow.
     """
-    probe[:] = scene.probe_age
-    sight[:] = scene.sight_age
+    for p in range(sight.shape[0]):
+        sight[p] = scene.sight_age[p]
+        for q in range(4):
+            probe[p, q] = scene.probe_age[p, q]
     rho = np.float32(tables.probe_au)
     scale = np.float32(_REACH_BINS / _REACH_AU**2)
     shape_worth = np.float32(tables.shape_worth)
@@ -408,6 +410,12 @@ def draw_goal(scene, k, x, y, age, forget_steps, power, is_guided, scatter, goal
     return target
 
 
+@njit(cache=True, nogil=True)
+def _copy(to, row, source, source_row):  # type: ignore[no-untyped-def]
+    """Copy a row (2,); assigning slices takes a second of compiling for each."""
+    to[row, 0], to[row, 1] = source[source_row, 0], source[source_row, 1]
+
+
 @njit(cache=True, fastmath=True, nogil=True)
 def refine(goals, count, scene, size, rng):  # type: ignore[no-untyped-def]
     """Change a goal a little: move, drop, insert, swap, or cut the list there. -> its length."""
@@ -419,10 +427,12 @@ def refine(goals, count, scene, size, rng):  # type: ignore[no-untyped-def]
         goals[g, 1] = min(max(goals[g, 1] + reach * rng.normal(), 0.0), 1.0)
         return count
     if kind < 0.7:
-        goals[g : count - 1] = goals[g + 1 : count].copy()
+        for c in range(g, count - 1):
+            _copy(goals, c, goals, c + 1)
         return count - 1
     if kind < 0.85 and count < goals.shape[0]:
-        goals[g + 1 : count + 1] = goals[g:count].copy()
+        for c in range(count, g, -1):
+            _copy(goals, c, goals, c - 1)
         if rng.random() < 0.5:
             k, p = int(rng.random() * scene.x.shape[0]), int(rng.random() * scene.x.shape[1])
             goals[g, 0], goals[g, 1] = scene.x[k, p], scene.y[k, p]
@@ -450,28 +460,30 @@ def search(start, ground, options, scene, tables, effort, last_goals, num_last, 
     probe, sight = np.empty_like(scene.probe_age), np.empty_like(scene.sight_age)
     squared = np.empty(scene.x.shape[1], np.float32)
     goals, path = np.zeros((MAX_GOALS, 2)), np.zeros((horizon, 2))
-    best_goals, best_path = np.zeros((MAX_GOALS, 2)), np.zeros((horizon, 2))
-    best, best_count, best_hop = -np.inf, 0, -1
+    best_goals, best_path = last_goals.copy(), np.zeros((horizon, 2))
+    best, best_count, best_hop = -np.inf, num_last, -1
     option_gain = np.full(options.shape[0], -np.inf)
     age = np.empty(num_targets)
     for c in range(effort.num_drawn + effort.num_refined):
         count, option = 0, -1
         if c == 0:
             count = num_last
-            goals[:count] = last_goals[:count]
+            for m in range(count):
+                _copy(goals, m, last_goals, m)
         elif c >= effort.num_drawn and best_count > 0:
-            goals[:best_count] = best_goals[:best_count]
+            for m in range(best_count):
+                _copy(goals, m, best_goals, m)
             count = refine(goals, best_count, scene, effort.refine_au, rng)
         elif options.shape[0] > 0 and c % 2 == 0:
             count = 1
             option = options[(c // 2) % options.shape[0]]
-            goals[0] = ground.nodes[option]
+            _copy(goals, 0, ground.nodes, option)
         for i in range(num_targets):
             age[i] = scene.sight_age[scene.first[i]]
         power = 1.0 + (effort.greed - 1.0) * rng.random()
         is_guided = rng.random() < effort.guided_share
-        k, x, y, node, due, hop = 0, start.x, start.y, start.node, start.due_au, -1
-        g = 0
+        x, y, node, due, hop = start.x, start.y, start.node, start.due_au, -1
+        k, g = np.int64(0), 0  # a literal 0 would have callees compiled for it apart
         while k < horizon and g < MAX_GOALS:
             target = -1
             if g >= count:
@@ -516,6 +528,8 @@ def search(start, ground, options, scene, tables, effort, last_goals, num_last, 
                 option_gain[o] = max(option_gain[o], gain)
         if gain > best:
             best, best_count, best_hop = gain, g, hop
-            best_goals[:g] = goals[:g]
-            best_path[:] = path
+            for m in range(g):
+                _copy(best_goals, m, goals, m)
+            for m in range(horizon):
+                _copy(best_path, m, path, m)
     return best, best_path, best_goals, best_count, best_hop, option_gain
