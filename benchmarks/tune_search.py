@@ -4,12 +4,16 @@ Flies the same development instances (seeds 10000 and up) with the settings of `
 with each change given, and prints Unc, MinOb and JSD of each cell and their mean differences, with
 the standard error over paired instances. Names are those of `SearchSettings` or `MotionSettings`;
 several changes joined by commas are made together. Without changes it prints the ablations: each
-ingredient off.
+ingredient off (the table in DESIGN.md: `--instances 32`).
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, replace
 
 import numpy as np
@@ -32,6 +36,7 @@ ABLATIONS = (
     "drift=0",
     "walk_au=10",
     "trail_doubt=0",
+    "noise_au=1",  # sightings tell nothing of the speed
     "num_planned=10",
     "scatter_au=0",
 )
@@ -54,6 +59,7 @@ def changed(text: str) -> SearchSettings:
 
 def scores(planner: Planner, cells: list[tuple[int, float]], num_instances: int) -> FloatArray:
     """Unc, MinOb and JSD of every cell and instance. -> (C, K, 3)."""
+    torch.set_num_threads(1)
     table = np.empty((len(cells), num_instances, 3))
     for c, (num_targets, speed_ratio) in enumerate(cells):
         for k in range(num_instances):
@@ -81,19 +87,27 @@ def main() -> None:
     parser.add_argument("--instances", type=int, default=8)
     parser.add_argument("--cells", default=CORNERS, help="number of targets : speed ratio, ...")
     parser.add_argument("--clairvoyant", action="store_true")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     arguments = parser.parse_args()
-    torch.set_num_threads(1)
     cells = []
     for cell in arguments.cells.split(","):
         count, ratio = cell.split(":")
         cells.append((int(count), 1.0 / float(ratio.removeprefix("1/"))))
     make = ClairvoyantSearchPlanner if arguments.clairvoyant else SearchPlanner
     print(f"Unc MinOb JSD of {arguments.cells}; {arguments.instances} instances a cell")
-    base = scores(make(), cells, arguments.instances)
-    print(line("as it is", base, base), flush=True)
-    for change in arguments.changes:
-        table = scores(make(changed(change)), cells, arguments.instances)
-        print(line(change, table, base), flush=True)
+    with ProcessPoolExecutor(
+        arguments.workers, mp_context=multiprocessing.get_context("spawn")
+    ) as pool:
+        names = ["", *arguments.changes]
+        planners = [make(changed(name)) for name in names]
+        count = len(names)
+        tables: Iterator[FloatArray] = pool.map(
+            scores, planners, [cells] * count, [arguments.instances] * count
+        )
+        base = next(tables)
+        print(line("as it is", base, base), flush=True)
+        for name, table in zip(arguments.changes, tables, strict=True):
+            print(line(name, table, base), flush=True)
 
 
 if __name__ == "__main__":
