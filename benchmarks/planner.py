@@ -1,13 +1,14 @@
 """How long a decision of the search takes: `python benchmarks/planner.py [--length L]`.
 
-Flies one episode at N = 8 on one thread and prints the decision times, first and second half apart:
-with a long episode these tell that nothing grows. Processor time of the thread is what counts, so
-that a busy machine does not slow the figures.
+Flies one episode at N = 8 on one thread and prints the decision times, first and second half apart,
+and the memory: with a long episode these tell that nothing grows. Processor time of the thread is
+what counts, so that a busy machine does not slow the figures.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
 import time
 
 import numpy as np
@@ -49,7 +50,7 @@ def main() -> None:
     parser.add_argument("--targets", type=int, default=8)
     arguments = parser.parse_args()
     for planner in (SearchPlanner(), RoadmapSearchPlanner()):
-        for speed_ratio in (1 / 30, 1 / 7):
+        for speed_ratio in (1 / 30, 1 / 20, 1 / 7):
             timed = Timed(planner)
             with threadpool_limits(1):
                 fly(
@@ -64,6 +65,8 @@ def main() -> None:
                     f"mean {times_ms.mean():5.2f} ms, p99 {np.percentile(times_ms, 99):5.2f} ms, "
                     f"most {times_ms.max():5.2f} ms"
                 )
+            peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            print(f"{'':14s} peak memory so far {peak_mib:.0f} MiB")
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ ABLATIONS = (
     "drift=0",
     "walk_au=10",
     "trail_doubt=0",
-    "noise_au=1",  # sightings tell nothing of the speed
+    "slowest=0.0731,fastest=0.0731",  # the expected speed before any sighting, not learned
     "num_planned=10",
     "scatter_au=0",
 )

@@ -106,7 +106,10 @@ def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
     records = []
     for row in rows:
         estimates = {name: row.figures.get(name, UNKNOWN) for name in FIGURES}
-        means = {name: _number(value.mean, name) for name, value in estimates.items()}
+        extra = 1 if row.instances else 0
+        means = {
+            name: _number(value.mean, name, extra_digits=extra) for name, value in estimates.items()
+        }
         errors = {
             f"{name}_se": _number(value.standard_error, name, extra_digits=1)
             for name, value in estimates.items()
@@ -202,11 +205,12 @@ def _verdicts(results: Sequence[Result], rows: Sequence[Row]) -> list[str]:
                 )
                 lines.append(f"`{method}` closes the gap from the paper's network: {shares}.")
     for method in methods:
-        better, compared = count_better(rows, method)
+        better, compared, close = count_better(rows, method)
         if compared:
+            narrowly = f", {close} of them within its standard error" if close else ""
             lines.append(
                 f"`{method}` is better than the best published of any method in {better} of "
-                f"{compared} figures."
+                f"{compared} figures{narrowly}."
             )
         if method in COUNTERPARTS:
             agreeing, compared = count_agreeing(rows, method)

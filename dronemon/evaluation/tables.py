@@ -200,20 +200,25 @@ def gap_closed(ours: float, network: float, bound: float) -> float:
     return (network - ours) / (network - bound)
 
 
-def count_better(rows: Sequence[Row], method: str) -> tuple[int, int]:
-    """Figures of Table I that beat the best published of any method. -> better, compared."""
+def count_better(rows: Sequence[Row], method: str) -> tuple[int, int, int]:
+    """Figures of Table I that beat the best published of any method.
+
+    -> better, compared, and how many of the better ones are so by at most a standard error
+    """
     published: dict[Cell, list[Row]] = {}
     for row in published_rows():
         published.setdefault(row.cell, []).append(row)
-    better = compared = 0
+    better = compared = close = 0
     for row in rows:
         if row.method != method or row.cell not in published:
             continue
         for name, sign in RANKED.items():
             best = max(sign * other.figures[name].mean for other in published[row.cell])
-            better += sign * row.figures[name].mean > best
+            lead = sign * row.figures[name].mean - best
+            better += lead > 0.0
+            close += 0.0 < lead <= row.figures[name].standard_error
             compared += 1
-    return better, compared
+    return better, compared, close
 
 
 def count_agreeing(rows: Sequence[Row], method: str) -> tuple[int, int]:

@@ -198,7 +198,10 @@ class Target(Section):
 
 
 class Belief(Section):
-    """Kernel of the Gaussian processes. Source: paper, section III-C."""
+    """Kernel of the Gaussian processes. Source: paper, section III-C.
+
+    The search planners look ahead with the default kernel, whatever stands here.
+    """
 
     length_scale_au: float = Field(0.1, gt=0.0, le=1.0, description="Spatial length scale.")
     time_scale_au: float = Field(3.0, gt=0.0, le=100.0, description="Temporal length scale.")

@@ -34,13 +34,16 @@ _FEW = 0.15
 class MotionSettings:
     """What is assumed of targets, and how closely they are followed.
 
-    num_particles: of each target; turns_per_au: per length walked; noise_au: of a displacement
-    between two sightings; trail_radius_au: targets seldom come this close to their own trail, as
+    num_particles: of each target; slowest, fastest: that targets may be, over the agent's speed;
+    turns_per_au: per length walked; noise_au: of a displacement between two sightings;
+    trail_radius_au: targets seldom come this close to their own trail, as
     far as they walked it in the last trail_au; trail_doubt: chance that a particle which did is
     removed, at each miss
     """
 
     num_particles: int = 240
+    slowest: float = 0.005
+    fastest: float = 0.3
     turns_per_au: float = TURNS_PER_AU
     noise_au: float = 0.0015
     trail_radius_au: float = 0.1
@@ -138,7 +141,7 @@ class SpeedBelief:
 
     def __init__(self, motion: MotionSettings) -> None:
         self._motion = motion
-        self._grid = np.geomspace(0.005, 0.3, 80)
+        self._grid = np.geomspace(motion.slowest, motion.fastest, 80)
         self._log_likelihood = np.zeros_like(self._grid)
 
     @property
@@ -219,8 +222,8 @@ class ParticleBelief:
         return track
 
     def add_target(self) -> None:
-        """Append a target of which nothing is known."""
-        self.tracks.append(self._new_track(np.full(2, np.nan)))
+        """Append a target never seen, which may be where the last one, unseen too, may be."""
+        self.tracks.append(Track(walkers=self.tracks[-1].walkers.copy()))
 
     def advance(self, time_au: float) -> None:
         """Walk all particles on to a time; never back."""

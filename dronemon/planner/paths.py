@@ -43,7 +43,7 @@ _REACH_AU = 0.25
 """A measurement farther from a probe tells nothing about it."""
 _REACH_BINS = 512
 _NEAR = 0.05
-"""Squared distance, particle to agent, within which any of its probes may be reached."""
+"""Squared distance, particle to agent, beyond which its probes are left alone."""
 _ARRIVED_AU = 0.05
 NEAREST_CELLS = 64
 """Cells along each axis of the table of nearest nodes."""
@@ -53,6 +53,8 @@ _MEAN_REACH_AU = 0.7
 """Data farther from a cell, age counted, do not show in its mean: the kernel is below 1e-4."""
 _MEAN_BINS = 8192
 _MEAN_JITTER = 1e-6
+NOTHING = -1e30
+"""Gain of no path at all; fast arithmetic does not know infinity."""
 
 
 def _matern(distance: FloatArray) -> FloatArray:
@@ -454,15 +456,15 @@ def search(start, ground, options, scene, tables, effort, last_goals, num_last, 
 
     options: (K,) neighbours of the start's node, empty in free flight; last_goals: (MAX_GOALS, 2)
     of the last best path, the first num_last of them -> gain, path (H, 2), goals (MAX_GOALS, 2),
-    their number, first hop, gain of the best path by way of each option (K,)
+    their number, first hop, gain of the best path by way of each option (K,); NOTHING without one
     """
     num_targets, horizon = scene.first.shape[0] - 1, scene.x.shape[0]
     probe, sight = np.empty_like(scene.probe_age), np.empty_like(scene.sight_age)
     squared = np.empty(scene.x.shape[1], np.float32)
     goals, path = np.zeros((MAX_GOALS, 2)), np.zeros((horizon, 2))
     best_goals, best_path = last_goals.copy(), np.zeros((horizon, 2))
-    best, best_count, best_hop = -np.inf, num_last, -1
-    option_gain = np.full(options.shape[0], -np.inf)
+    best, best_count, best_hop = NOTHING, num_last, -1
+    option_gain = np.full(options.shape[0], NOTHING)
     age = np.empty(num_targets)
     for c in range(effort.num_drawn + effort.num_refined):
         count, option = 0, -1

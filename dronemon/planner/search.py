@@ -33,7 +33,7 @@ _NEXT_AU = 0.03
 class SearchSettings:
     """How the search looks ahead and what it values.
 
-    Found by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
+    Compared by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
     """
 
     num_steps: int = 26
@@ -203,7 +203,7 @@ class SearchPlanner:
         gain, path, goals, count, _, _ = self._search(
             snapshot.time_au, start, np.empty(0, dtype=np.int64)
         )
-        if count == 0 or math.dist(path[0], snapshot.position_au) <= ARRIVED_AU:
+        if not _is_found(gain) or math.dist(path[0], snapshot.position_au) <= ARRIVED_AU:
             raise PlannerError(f"search found no path from {snapshot.position_au}; report this")
         self._keep(goals, count, path[0])
         return Waypoint(
@@ -323,7 +323,7 @@ class RoadmapSearchPlanner(SearchPlanner):
             until_measurement_au(snapshot.time_au),
         )
         gain, _, goals, count, hop, gains = self._search(snapshot.time_au, start, neighbours)
-        if hop < 0:
+        if not _is_found(gain):
             raise PlannerError(f"search found no way from node {node}; report this")
         self._keep(goals, count, nodes_au[hop])
         return Waypoint(
@@ -338,7 +338,7 @@ class RoadmapSearchPlanner(SearchPlanner):
 
 
 class ClairvoyantSearchPlanner(SearchPlanner):
-    """The same search, told where the targets are and will be: the bound."""
+    """The same search, told where the targets are and will be: what ours is measured against."""
 
     name = "clairvoyant-search"
 
@@ -355,6 +355,10 @@ class ClairvoyantSearchPlanner(SearchPlanner):
         times_au: FloatArray = time_au + MEASUREMENT_INTERVAL_AU * steps
         places: FloatArray = self._targets_at(times_au)[:, :, None]
         return places[0], places[1:], speed
+
+
+def _is_found(gain: float) -> bool:
+    return math.isfinite(gain) and gain > paths.NOTHING
 
 
 @cache

@@ -140,11 +140,13 @@ def test_differences_pair_instances_and_weigh_cells_alike() -> None:
 def test_better_counts_only_what_beats_every_published_method() -> None:
     # Best published in this cell: Unc 0.634 (STAMP), MinOb 59.24 (TSP Loop), JSD 0.070 (TSP Loop).
     won = summarise([result("a", 0, 0.633, min_ob=60, jsd=0.069)])
-    assert count_better(won, "a") == (3, 3)
+    assert count_better(won, "a") == (3, 3, 0)
     tied = summarise([result("a", 0, 0.634, min_ob=59, jsd=0.070)])
-    assert count_better(tied, "a") == (0, 3)
+    assert count_better(tied, "a") == (0, 3, 0)
+    close = [result("a", seed, 0.632 + 0.002 * seed, min_ob=60, jsd=0.01) for seed in (0, 1)]
+    assert count_better(summarise(close), "a") == (3, 3, 1)
     elsewhere = Cell(prior="none", num_targets=2, speed_ratio=Fraction(1, 30))
-    assert count_better(summarise([result("a", 0, 0.1, cell=elsewhere)]), "a") == (0, 0)
+    assert count_better(summarise([result("a", 0, 0.1, cell=elsewhere)]), "a") == (0, 0, 0)
 
 
 def test_agreement_needs_unc_and_jsd_within_their_limits() -> None:
@@ -176,7 +178,7 @@ def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
     assert len(records) == 16 * 2 + 48
     first = records[0]
     assert (first["targets"], first["speed_ratio"], first["method"]) == ("2", "1/30", "search")
-    assert (first["unc"], first["unc_se"], first["instances"]) == ("0.705", "0.0050", "2")
+    assert (first["unc"], first["unc_se"], first["instances"]) == ("0.7050", "0.0050", "2")
     assert first["peak_error_au"] == ""
     text = (tmp_path / "table.md").read_text()
     network = sum(r.figures["unc"].mean for r in published_rows() if r.method == "STAMP") / 16

@@ -56,3 +56,41 @@ def test_a_miss_gains_on_a_false_trail_and_costs_at_the_target(place, gains):
         worth[shape_worth] = paths.score(np.array([place]), scene, tables, *scratch)
     assert (worth[5.0] > worth[0.0]) == gains
     assert worth[5.0] != worth[0.0]
+
+
+def test_a_step_over_the_border_goes_along_it_as_far():
+    rng = np.random.default_rng(10_000)
+    bearings = 2.0 * np.pi * rng.random(2000)
+    places = np.concatenate([rng.random((1000, 2)), rng.choice([0.0, 0.02, 0.98, 1.0], (1000, 2))])
+    for (x, y), bearing in zip(places, bearings, strict=True):
+        to = np.array(paths.advance(x, y, 0.1 * np.cos(bearing), 0.1 * np.sin(bearing)))
+        assert np.all((to >= 0.0) & (to <= 1.0))
+        assert np.hypot(*(to - (x, y))) == pytest.approx(0.1)
+
+
+def test_refinement_changes_one_goal_and_keeps_the_others_in_order():
+    rng = np.random.default_rng(10_000)
+    scene = paths.Scene(
+        x=np.zeros((2, 3), dtype=np.float32),
+        y=np.zeros((2, 3), dtype=np.float32),
+        weight=np.ones(3, dtype=np.float32),
+        probe_age=np.zeros((3, 4), dtype=np.int32),
+        sight_age=np.zeros(3, dtype=np.int32),
+        first=np.array([0, 3]),
+        mean=np.zeros((1, 2, 2), dtype=np.float32),
+    )
+    before = np.zeros((paths.MAX_GOALS, 2))
+    before[:5] = (np.arange(5)[:, None] + [1.0, 1.5]) / 10.0
+    lengths = set()
+    for _ in range(500):
+        goals = before.copy()
+        count = paths.refine(goals, 5, scene, 0.05, rng)
+        lengths.add(count)
+        rows = {tuple(row) for row in before[:5]}
+        kept = [row for row in map(tuple, goals[:count]) if row in rows]
+        if count == 5 and len(kept) == 5:  # two goals swapped
+            assert sorted(kept) == [tuple(row) for row in before[:5]]
+        else:
+            assert kept == sorted(kept)
+            assert len(kept) >= min(count, 5) - 1
+    assert lengths == {0, 1, 2, 3, 4, 5, 6}
