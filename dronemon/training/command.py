@@ -133,12 +133,22 @@ def train_command(
     _keep_freed_memory()
     if "WORLD_SIZE" in os.environ:
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
-    command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    command = _command()
     console = Console(quiet=os.environ.get("RANK", "0") != "0")
     with _Display(console) as display:
         best = train(plan, command=command, listen=display)
     if best.exists():
         console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
+
+
+def _command() -> str:
+    """The command line that runs this, for the card."""
+    program = Path(sys.argv[0]).name
+    if program == "__main__.py":
+        size = int(os.environ.get("WORLD_SIZE", "1"))
+        launcher = f"torchrun --standalone --nproc-per-node {size}" if size > 1 else "python"
+        program = f"{launcher} -m dronemon.training"
+    return " ".join([program, *sys.argv[1:]])
 
 
 def _keep_freed_memory() -> None:
