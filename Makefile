@@ -37,3 +37,4 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 
 clean:
 	rm -rf $(VENV) build dist
+	find dronemon sim tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
