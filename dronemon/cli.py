@@ -29,8 +29,7 @@ from dronemon.mission.load import outbound_min, usable_min
 from dronemon.planner import Clairvoyant, Planner
 from dronemon.planner.registry import create_planner, planner_names
 from dronemon.recorder import RunRecorder
-from dronemon.runner import FlightResult, Interrupts, fly
-from dronemon.runner.flight import mission_kernel
+from dronemon.runner import FlightResult, Interrupts, fly, mission_kernel, rehearse
 from dronemon.runner.summary import facts, summarise
 from dronemon.simulator import Simulator, read_truth, simulator
 from dronemon.terminal import FlightDisplay, facts_table
@@ -165,6 +164,7 @@ async def _fly(file: MissionFile, planner: Planner, follow: str | None, out: Pat
         mission_text=_as_flown(mission), mission_name=mission.name, target_names=names, out=out
     )
     console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
+    console.print("getting ready (the first time code is compiled, for about 15 s)")
     with recorder:
         try:
             result, truth, priors_au = await _with_everything(
@@ -202,6 +202,7 @@ async def _with_everything(
     """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
     folder, mission = recorder.folder, file.mission
     async with contextlib.AsyncExitStack() as stack:
+        rehearsal = asyncio.create_task(asyncio.to_thread(rehearse, mission, planner))
         sim: Simulator | None = None
         if mission.vehicle.is_mock or follow:
             sim = await stack.enter_async_context(
@@ -212,6 +213,7 @@ async def _with_everything(
                     follow=follow,
                 )
             )
+        await rehearsal
         priors_au = _priors(mission, sim)
         view = stack.enter_context(
             FlightView(

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numba import njit
@@ -79,6 +80,12 @@ class Group:
             nothing if mean is None else mean[self.episodes].numpy(),
             nothing if std is None else std[self.episodes].numpy(),
         )
+
+
+def is_ready() -> bool:
+    """Whether an earlier process has left the compiled loops on this machine."""
+    folder = _predict.stats.cache_path
+    return folder is not None and any(Path(folder).glob("compiled._predict-*.nbi"))
 
 
 def fit(

@@ -9,27 +9,27 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from dronemon.belief import Belief, Matern32
 from dronemon.camera import FrameSource
 from dronemon.errors import ControlTaken, DronemonError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
-from dronemon.mission import Mission, MissionFile
+from dronemon.mission import MissionFile
 from dronemon.mission.load import battery_problem
-from dronemon.planner import Briefing, Planner, Snapshot
+from dronemon.planner import Planner
 from dronemon.recorder import RunRecorder
-from dronemon.roadmap import Roadmap
 from dronemon.runner.homecoming import Homecoming
 from dronemon.runner.patrol import Kit, Patrol
+from dronemon.runner.preparation import (
+    brief,
+    draw_start_and_roadmap,
+    make_belief,
+    make_detector,
+)
 from dronemon.runner.report import Reporter
 from dronemon.runner.status import Audience, FlightStatus, Interrupts
-from dronemon.types import FloatArray, Measurement, Pose
+from dronemon.types import FloatArray
 from dronemon.vehicle import VehicleLink
-from dronemon.vision import Detector
-from dronemon.viz import FlightView, belief_grid_au
-from dronemon.world import Instance
-from dronemon.world.instance import named_stream
+from dronemon.viz import FlightView
 
 _GROUND_POSES = 20
 
@@ -68,10 +68,10 @@ async def fly(
 ) -> FlightResult:
     """Fly one mission with a connected vehicle and a camera to open, from ready to disarmed.
 
+    `rehearse` comes first, or what is compiled and loaded in flight will hold up the setpoints.
     priors_au: (N, 2) au known positions of the targets, NaN where unknown.
     Never raises a DronemonError: what went wrong is in the result, after the drone came home.
     """
-    torch.set_num_threads(1)
     flight = _Flight(file, link, camera, planner, priors_au, recorder, view, interrupts, audience)
     return await flight.run()
 
@@ -164,15 +164,9 @@ class _Flight:
         await self._exit.enter_async_context(self._camera)  # its clock is the vehicle's
         frame = await self._lay_area()
         self._check_distance(frame)
-        start_au, roadmap = self._draw_start_and_roadmap()
-        detector = Detector(
-            [target.appearance for target in mission.targets],
-            mission.camera.model,
-            mission.detector.min_score,
-        )
-        await asyncio.to_thread(self._rehearse, detector, start_au, roadmap)
-        belief = self._new_belief()
-        await asyncio.to_thread(self._planner.reset, self._briefing(start_au, "planner"), roadmap)
+        start_au, roadmap = draw_start_and_roadmap(mission)
+        briefing = brief(mission, self._priors_au, start_au, stream="planner")
+        await asyncio.to_thread(self._planner.reset, briefing, roadmap)
         self._view.area(frame, footprint_radius_m=mission.sensor_radius_m)
         self._view.roadmap(roadmap.nodes_au, np.argwhere(roadmap.edge_lengths_au.toarray() > 0))
         kit = Kit(
@@ -180,8 +174,8 @@ class _Flight:
             frame=frame,
             link=link,
             camera=self._camera,
-            detector=detector,
-            belief=belief,
+            detector=make_detector(mission),
+            belief=make_belief(mission, self._priors_au),
             planner=self._planner,
             roadmap=roadmap,
             recorder=self._recorder,
@@ -215,76 +209,6 @@ class _Flight:
         away_m = math.dist(self._link.pose.position_ned_m[:2], frame.centre_ned_m)
         if problem := battery_problem(self._mission, away_m):
             raise self._file.error(("area", "latitude_deg"), problem)
-
-    def _draw_start_and_roadmap(self) -> tuple[FloatArray, Roadmap]:
-        seed, mission = self._mission.simulation.seed, self._mission
-        start_au = (
-            np.array(mission.flight.start_au)
-            if mission.flight.start_au is not None
-            else Instance.draw(seed, len(mission.targets)).start_au
-        )
-        roadmap = Roadmap.random(
-            mission.roadmap.num_nodes,
-            mission.roadmap.num_neighbours,
-            named_stream(seed, "roadmap"),
-            start_au,
-        )
-        return start_au, roadmap
-
-    def _new_belief(self) -> Belief:
-        belief = Belief(len(self._mission.targets), mission_kernel(self._mission))
-        for index, prior_au in enumerate(self._priors_au):
-            if np.isfinite(prior_au).all():
-                belief.add_prior(index, prior_au)
-        return belief
-
-    def _briefing(self, start_au: FloatArray, stream: str) -> Briefing:
-        return Briefing(
-            num_targets=len(self._mission.targets),
-            priors_au=self._priors_au,
-            start_au=start_au,
-            horizon_au=self._mission.horizon_au,
-            rng=named_stream(self._mission.simulation.seed, stream),
-        )
-
-    def _rehearse(self, detector: Detector, start_au: FloatArray, roadmap: Roadmap) -> None:
-        """Look, believe and plan once with throw-away data, so that nothing is loaded in flight.
-
-        Compiled code is loaded at its first call and holds up everything else meanwhile, the stream
-        of setpoints too.
-        """
-        mission, num_targets = self._mission, len(self._mission.targets)
-        camera = mission.camera.model
-        level = Pose(
-            time_s=0.0,
-            position_ned_m=(0.0, 0.0, -mission.flight.altitude_m),
-            velocity_ned_m_s=(0.0, 0.0, 0.0),
-            attitude_rad=(0.0, 0.0, 0.0),
-        )
-        noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px, 3))
-        detector.detect(noise.astype(np.uint8), level, 0.0)
-        belief = self._new_belief()
-        measurement = Measurement(
-            time_au=0.1,
-            agent_au=start_au,
-            seen=np.zeros(num_targets, dtype=np.bool_),
-            target_au=np.full((num_targets, 2), np.nan),
-        )
-        belief.add(measurement)
-        grid_au = belief_grid_au().reshape(-1, 2)
-        belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
-        self._planner.reset(self._briefing(start_au, "rehearsal"), roadmap)
-        self._planner.next_waypoint(
-            Snapshot(
-                time_au=0.1,
-                position_au=start_au,
-                node=0,
-                measurements=(measurement,),
-                belief=belief,
-                roadmap=roadmap,
-                remaining_au=mission.horizon_au,
-            )
-        )
 
     # In the air
 
@@ -332,14 +256,6 @@ class _Flight:
             return None
         home = geo_to_ned(state.home, state.origin)
         return math.dist(self._link.pose.position_ned_m[:2], home[:2])
-
-
-def mission_kernel(mission: Mission) -> Matern32:
-    """The kernel that a mission asks for."""
-    belief = mission.belief
-    return Matern32(
-        length_scales_au=(belief.length_scale_au, belief.length_scale_au, belief.time_scale_au)
-    )
 
 
 def _describe_frame(frame: AreaFrame) -> dict[str, object]:

@@ -27,7 +27,7 @@ from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.recorder import RunRecorder
 from dronemon.roadmap import Roadmap
-from dronemon.runner import FlightResult, FlightStatus, Interrupts, fly
+from dronemon.runner import FlightResult, FlightStatus, Interrupts, fly, rehearse
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.viz import FlightView
 
@@ -79,6 +79,7 @@ class Rehearsal:
 
     async def _fly(self, options: tuple[str, ...]) -> FlightResult:
         file = load_mission(self.path)
+        rehearse(file.mission, self.planner)
         vehicle = self._start(self.path, "--speed-up", "20", *options)
         recorder = RunRecorder.create(
             mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out

@@ -1,0 +1,129 @@
+"""What a mission is flown with, and a rehearsal of it before anything moves."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import torch
+
+from dronemon.belief import Belief, Matern32
+from dronemon.belief.compiled import is_ready as belief_is_compiled
+from dronemon.mission import Mission
+from dronemon.planner import Briefing, Planner, Snapshot
+from dronemon.roadmap import Roadmap
+from dronemon.types import FloatArray, Measurement, Pose
+from dronemon.vision import Detector
+from dronemon.viz import belief_grid_au
+from dronemon.world import Instance
+from dronemon.world.instance import named_stream
+
+
+def rehearse(mission: Mission, planner: Planner) -> None:
+    """Look, believe and plan once with throw-away data, so that nothing is loaded in flight.
+
+    Compiled code is loaded at its first call, after the installation even compiled, and holds up
+    everything else meanwhile, the stream of setpoints too. Needs no vehicle.
+    """
+    torch.set_num_threads(1)
+    compiler = None if belief_is_compiled() else _compile_belief()
+    num_targets = len(mission.targets)
+    start_au, roadmap = draw_start_and_roadmap(mission)
+    camera = mission.camera.model
+    level = Pose(
+        time_s=0.0,
+        position_ned_m=(0.0, 0.0, -mission.flight.altitude_m),
+        velocity_ned_m_s=(0.0, 0.0, 0.0),
+        attitude_rad=(0.0, 0.0, 0.0),
+    )
+    noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px, 3))
+    make_detector(mission).detect(noise.astype(np.uint8), level, 0.0)
+    priors_au = np.tile(start_au, (num_targets, 1))
+    planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
+    if compiler is not None:
+        compiler.wait()
+    measurement = Measurement(
+        time_au=0.1,
+        agent_au=start_au,
+        seen=np.zeros(num_targets, dtype=np.bool_),
+        target_au=np.full((num_targets, 2), np.nan),
+    )
+    belief = make_belief(mission, priors_au)
+    belief.add(measurement)
+    grid_au = belief_grid_au().reshape(-1, 2)
+    belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
+    planner.next_waypoint(
+        Snapshot(
+            time_au=0.1,
+            position_au=start_au,
+            node=0,
+            measurements=(measurement,),
+            belief=belief,
+            roadmap=roadmap,
+            remaining_au=mission.horizon_au,
+        )
+    )
+
+
+def _compile_belief() -> subprocess.Popen[bytes]:
+    """Compile what beliefs need on a core of its own, while others are compiled here."""
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "dronemon.belief"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,  # if it fails, the same happens here and is told
+    )
+
+
+def draw_start_and_roadmap(mission: Mission) -> tuple[FloatArray, Roadmap]:
+    """Where the patrol begins, (2,) au, and the roadmap that contains this place."""
+    seed = mission.simulation.seed
+    start_au = (
+        np.array(mission.flight.start_au)
+        if mission.flight.start_au is not None
+        else Instance.draw(seed, len(mission.targets)).start_au
+    )
+    roadmap = Roadmap.random(
+        mission.roadmap.num_nodes,
+        mission.roadmap.num_neighbours,
+        named_stream(seed, "roadmap"),
+        start_au,
+    )
+    return start_au, roadmap
+
+
+def brief(
+    mission: Mission, priors_au: FloatArray, start_au: FloatArray, *, stream: str
+) -> Briefing:
+    """What the planner is told; its randomness is the mission's stream of this name."""
+    return Briefing(
+        num_targets=len(mission.targets),
+        priors_au=priors_au,
+        start_au=start_au,
+        horizon_au=mission.horizon_au,
+        rng=named_stream(mission.simulation.seed, stream),
+    )
+
+
+def make_detector(mission: Mission) -> Detector:
+    """Finds the mission's targets in its camera's pictures."""
+    appearances = [target.appearance for target in mission.targets]
+    return Detector(appearances, mission.camera.model, mission.detector.min_score)
+
+
+def make_belief(mission: Mission, priors_au: FloatArray) -> Belief:
+    """Belief at time 0. priors_au: (N, 2), NaN where unknown."""
+    belief = Belief(len(mission.targets), mission_kernel(mission))
+    for index, prior_au in enumerate(priors_au):
+        if np.isfinite(prior_au).all():
+            belief.add_prior(index, prior_au)
+    return belief
+
+
+def mission_kernel(mission: Mission) -> Matern32:
+    """The kernel that a mission asks for."""
+    belief = mission.belief
+    return Matern32(
+        length_scales_au=(belief.length_scale_au, belief.length_scale_au, belief.time_scale_au)
+    )
