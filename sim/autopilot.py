@@ -30,6 +30,7 @@ _READY_AFTER_S = 5.0
 _LANDED_AFTER_S = 1.0
 _LANDING_THRUST_M_S2 = 0.9 * GRAVITY_M_S2
 _CLIMB_WISH_M = 0.3
+_SETPOINT_LATE_S = 0.3
 _IDLE: Vector3 = (0.0, 0.0, 0.0)
 
 
@@ -102,6 +103,12 @@ class Autopilot:
     def is_in_air(self) -> bool:
         """Whether it flies."""
         return not self.is_landed
+
+    @property
+    def is_setpoint_late(self) -> bool:
+        """Whether it flies an offboard setpoint that should have been followed by another."""
+        age_s = self.time_s - self._offboard_at_s
+        return self.commander.mode is Mode.OFFBOARD and age_s > _SETPOINT_LATE_S
 
     def take_offboard(self, setpoint: Setpoint) -> None:
         """Take a setpoint from outside; it counts as a sign of life of its sender."""

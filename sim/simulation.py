@@ -95,10 +95,14 @@ class Simulation:
             link.flush()
 
     async def run(self, speed_up: float) -> None:
-        """Keep vehicle time at wall time x `speed_up`, until cancelled."""
+        """Keep vehicle time at wall time x `speed_up`, until cancelled.
+
+        While a setpoint is late it runs in real time: a pause of the other program that is nothing
+        to a vehicle would else count `speed_up` times.
+        """
         begin_s, started_at_s = time.monotonic(), self._time_s
         try:
-            await self._keep_pace(begin_s, speed_up)
+            await self._keep_pace(speed_up)
         finally:
             flown_s, wall_s = self._time_s - started_at_s, time.monotonic() - begin_s
             _LOG.info(
@@ -108,13 +112,13 @@ class Simulation:
                 speed_up,
             )
 
-    async def _keep_pace(self, begin_s: float, speed_up: float) -> None:
-        begun_at_s = self._time_s
+    async def _keep_pace(self, speed_up: float) -> None:
+        due_s, last_s = self._time_s, time.monotonic()
         while True:
-            due_s = begun_at_s + (time.monotonic() - begin_s) * speed_up
-            if due_s - self._time_s > _BURST_MAX_S:
-                begun_at_s -= due_s - self._time_s - _BURST_MAX_S
-                due_s = self._time_s + _BURST_MAX_S
+            now_s = time.monotonic()
+            pace = 1.0 if self.autopilot.is_setpoint_late else speed_up
+            due_s += min((now_s - last_s) * pace, _BURST_MAX_S)
+            last_s = now_s
             while self._time_s + STEP_S <= due_s:
                 self.step()
             self.flush()

@@ -111,7 +111,7 @@ class Vehicle(Section):
         "serial://DEV:BAUD.",
     )
     speed_up: float = Field(
-        10.0, ge=1.0, le=20.0, description="How much faster than real time the mock flies."
+        15.0, ge=1.0, le=20.0, description="How much faster than real time the mock flies."
     )
     connect_timeout_s: float = Field(
         10.0, gt=0.0, le=300.0, description="Wall-clock wait for the first heartbeat."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 import pytest
@@ -108,6 +109,46 @@ def test_lost_setpoints_return_the_vehicle_and_new_ones_bring_it_back(vehicle: A
     fly(vehicle, 1.0, target)
     assert vehicle.commander.mode is Mode.OFFBOARD
     assert not vehicle.commander.is_in_failsafe
+
+
+def test_late_setpoints_are_awaited_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission = make_mission()
+    simulation = Simulation(mission, World(mission))
+    vehicle = simulation.autopilot
+    fly(vehicle, 6.0)
+    take_off(vehicle, 10.0)
+    fly(vehicle, 1.0, hover(vehicle))
+    vehicle.take_offboard(hover(vehicle))
+    assert vehicle.request_mode(Mode.OFFBOARD)
+    clock = Clock()
+    monkeypatch.setattr("sim.simulation.time", clock)
+
+    def run(wall_s: float) -> float:
+        """-> vehicle time that passes, while nothing is heard from the other program"""
+        begun_at_s = vehicle.time_s
+        clock.ends_s = clock.now_s + wall_s
+        with pytest.raises(TimeoutError):
+            asyncio.run(simulation.run(20.0))
+        return vehicle.time_s - begun_at_s
+
+    assert 0.7 < run(0.5) < 0.95  # 0.3 s at once, then 0.5 s as they pass
+    assert vehicle.commander.mode is Mode.OFFBOARD
+    run(0.4)
+    assert vehicle.commander.is_in_failsafe
+    assert run(0.5) == pytest.approx(10.0, abs=0.3)
+
+
+class Clock:
+    """A wall clock that goes on by 4 ms whenever it is read, until it ends."""
+
+    def __init__(self) -> None:
+        self.now_s, self.ends_s = 0.0, 0.0
+
+    def monotonic(self) -> float:
+        if self.now_s >= self.ends_s:
+            raise TimeoutError
+        self.now_s += 0.004
+        return self.now_s
 
 
 def test_mode_change_in_the_failsafe_ends_it_for_good(vehicle: Autopilot) -> None:
