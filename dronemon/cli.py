@@ -305,8 +305,8 @@ def check(mission: MissionOption = "animals", follow: FollowOption = None) -> No
                 "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
                 f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
                 "pictures": f"{m.horizon_au / 0.1:.0f}, one every {0.1 * m.area.side_m:g} m",
-                "decisions": f"about {m.horizon_au / decision_au:.0f} on a roadmap of "
-                f"{m.roadmap.num_nodes} nodes",
+                "roadmap": f"{m.roadmap.num_nodes} nodes; about "
+                f"{m.horizon_au / decision_au:.0f} decisions of a planner that keeps to it",
                 "battery": f"{outbound_min(m):.1f} min until the return, of {usable_min(m):.1f} "
                 f"min usable ({m.flight.endurance_min:g} min, return at "
                 f"{m.flight.return_battery:.0%})",
