@@ -19,7 +19,7 @@ from dronemon.policy import Graphs, History, NetworkConfig, PolicyNetwork
 from dronemon.roadmap import Roadmap, laplacian_encoding
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "policy"))
-from instances import random_frames, random_walk
+from instances import random_frames, random_tracks, random_walk
 from naive_network import naive_verdict
 
 MAX_P99_MS = 15.0
@@ -32,7 +32,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--width", type=int, default=128)
     parser.add_argument("--decisions", type=int, default=400)
-    parser.add_argument("--ours", action="store_true", help="with newest, ways and geometry")
+    parser.add_argument(
+        "--ours", action="store_true", help="with newest, ways, geometry and tracks"
+    )
     options = parser.parse_args()
     torch.manual_seed(0)
     config = NetworkConfig(
@@ -41,6 +43,7 @@ def main() -> int:
         newest=options.ours,
         ways=options.ours,
         geometry=options.ours,
+        tracks=options.ours,
     )
     network = PolicyNetwork(config).eval()
     rng = np.random.default_rng(0)
@@ -53,6 +56,7 @@ def main() -> int:
     )
     generator = torch.Generator().manual_seed(0)
     frames = random_frames(1, options.decisions, graphs.num_nodes, NUM_TARGETS, generator)
+    tracks = random_tracks(1, options.decisions, NUM_TARGETS, generator)
     nodes, lengths_au = random_walk(graphs, options.decisions, generator)
     mask = torch.ones(1, NUM_TARGETS, dtype=torch.bool)
 
@@ -60,7 +64,7 @@ def main() -> int:
     ours_ms, logits = [], []
     for t in range(options.decisions):
         began = time.perf_counter()
-        verdict = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t])
+        verdict = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t], tracks[:, t])
         ours_ms.append(1e3 * (time.perf_counter() - began))
         logits.append(verdict.logits[0, 0])
 
@@ -76,6 +80,7 @@ def main() -> int:
                 lengths_au[0, : t + 1],
                 (int(nodes[0, t]), int(nodes[0, t - 1])),
                 HISTORY,
+                tracks[0, t],
             )
         plain_ms.append(1e3 * (time.perf_counter() - began))
         finite = plain.isfinite()

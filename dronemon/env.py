@@ -20,7 +20,7 @@ from dronemon.belief import Matern32, ObservationStore, Posterior, Prior, fit
 from dronemon.belief.metrics import area_std
 from dronemon.belief.store import WINDOW_TIME_SCALES
 from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
-from dronemon.policy import Graphs, belief_features
+from dronemon.policy import Graphs, Tracks, belief_features
 from dronemon.roadmap import Roadmap, laplacian_encoding
 from dronemon.world import Instance
 
@@ -49,6 +49,7 @@ class Observation:
     neighbours:     (B, K)       int64   nodes it may go to,
     neighbour_mask: (B, K)       bool    where true
     length_au:      (B,)                 flown so far, which is the time
+    tracks:         (B, N, T)    float32 what sightings say of each target, see `Tracks`
     """
 
     frames: Tensor
@@ -57,6 +58,7 @@ class Observation:
     neighbours: Tensor
     neighbour_mask: Tensor
     length_au: Tensor
+    tracks: Tensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +128,7 @@ class Env:
             dtype=self._dtype,
             device=self._device,
         )
+        self._tracks = Tracks(batch, num_targets, device=self._device)
         # Lengths and places are kept in float64 whatever the belief's precision.
         self._length_au = torch.zeros(batch, dtype=torch.float64, device=self._device)
         self._position_au = torch.zeros(batch, 2, dtype=torch.float64, device=self._device)
@@ -204,8 +207,11 @@ class Env:
         is_start = torch.zeros_like(is_placed)
         is_start[starts] = True
         self._store.clear(is_start)
+        self._tracks.clear(is_start)
+        is_placed = self._exists & (is_placed & is_start)[:, None]
+        self._tracks.add_prior(is_placed, self._targets_at(self._length_au))
         self._store.add_prior(
-            self._exists & (is_placed & is_start)[:, None],
+            is_placed,
             self._targets_at(self._length_au).to(self._dtype),
         )
 
@@ -243,6 +249,7 @@ class Env:
         distance_au = torch.linalg.vector_norm(targets_au - agent_au[:, None], dim=-1)
         seen = (distance_au < SENSOR_RADIUS_AU) & self._exists
         self._is_known |= seen & active[:, None]
+        self._tracks.add(time_au, agent_au, seen, targets_au, active)
         self._store.add(
             time_au.to(self._dtype),
             agent_au.to(self._dtype),
@@ -285,6 +292,7 @@ class Env:
             neighbours=self._graphs.neighbours[self._rows, self._node],
             neighbour_mask=self._graphs.neighbour_mask[self._rows, self._node],
             length_au=self._length_au.clone(),
+            tracks=self._tracks.features(self._length_au),
         )
 
     def _stacked(self, arrays: Sequence[Tensor]) -> Tensor:

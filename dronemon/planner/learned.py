@@ -6,6 +6,8 @@ encodes one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -15,11 +17,13 @@ from dronemon.policy import (
     Checkpoint,
     Graphs,
     History,
+    Tracks,
     belief_features,
     find_checkpoint,
     load_checkpoint,
 )
 from dronemon.roadmap import Roadmap, laplacian_encoding
+from dronemon.types import Measurement
 
 
 class LearnedPlanner:
@@ -57,16 +61,22 @@ class LearnedPlanner:
             torch.as_tensor(roadmap.distance_au),
         )
         self._memory = History(self._network, self._graphs, self._history)
+        self._tracks = Tracks(1, briefing.num_targets)
+        priors_au = torch.as_tensor(briefing.priors_au.reshape(1, -1, 2))
+        is_placed = priors_au.isfinite().all(-1)
+        self._tracks.add_prior(is_placed, priors_au)
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """The neighbour with the greatest logit; details hold all logits and the value."""
         node = snapshot.node if snapshot.node is not None else _nearest_node(snapshot)
         frame, target_mask = self._believe(snapshot)
+        time_au = torch.tensor([snapshot.time_au], dtype=torch.float64)
         verdict = self._memory.decide(
             frame,
             target_mask,
-            torch.tensor([snapshot.time_au], dtype=torch.float64),
+            time_au,
             torch.tensor([node]),
+            self._follow(snapshot.measurements, time_au, target_mask.shape[1]),
         )
         logits = verdict.logits[0, 0]
         allowed = self._graphs.neighbour_mask[0, node]
@@ -81,6 +91,22 @@ class LearnedPlanner:
                 "value": float(verdict.value[0, 0]),
             },
         )
+
+    def _follow(
+        self, measurements: Sequence[Measurement], time_au: torch.Tensor, num_targets: int
+    ) -> torch.Tensor:
+        """Take in what was measured since the last decision. -> tracks (1, N, T)."""
+        for measurement in measurements:
+            self._tracks.widen(len(measurement.seen))
+            self._tracks.add(
+                torch.tensor([measurement.time_au], dtype=torch.float64),
+                torch.as_tensor(measurement.agent_au)[None],
+                torch.as_tensor(measurement.seen)[None],
+                torch.as_tensor(measurement.target_au)[None],
+                torch.ones(1, dtype=torch.bool),
+            )
+        self._tracks.widen(num_targets)
+        return self._tracks.features(time_au)
 
     def _believe(self, snapshot: Snapshot) -> tuple[torch.Tensor, torch.Tensor]:
         """The belief at every node. -> frame (1, V, N, 4), target mask (1, N); N >= 1."""

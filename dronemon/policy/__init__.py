@@ -26,10 +26,12 @@ from dronemon.policy.network import (
     TemporalEncoder,
     Verdict,
 )
+from dronemon.policy.tracks import NUM_TRACK_FEATURES, Tracks
 
 __all__ = [
     "DEFAULT_HISTORY",
     "LENGTH_SCALE_AU",
+    "NUM_TRACK_FEATURES",
     "Card",
     "Checkpoint",
     "Graphs",
@@ -39,6 +41,7 @@ __all__ = [
     "Projections",
     "Segment",
     "TemporalEncoder",
+    "Tracks",
     "Verdict",
     "belief_features",
     "find_checkpoint",

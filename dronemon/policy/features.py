@@ -20,6 +20,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from dronemon.policy.tracks import mirrored_tracks
+
 LENGTH_SCALE_AU = 1.993 * 3.0
 """c_0, the length over which a measurement is forgotten; trajectory lengths are given in it.
 
@@ -149,7 +151,7 @@ class Segment:
 
     frames: (B, L, V, N, 4) float32 belief features; target_mask: (B, N) bool; flown: (B, L)
     float32, the agent's trajectory length at each decision in units of `LENGTH_SCALE_AU`; nodes:
-    (B, L) int64, the agent's node at each decision
+    (B, L) int64, the agent's node at each decision; tracks: (B, L, N, T) float32, see `Tracks`
     """
 
     graphs: Graphs
@@ -157,6 +159,7 @@ class Segment:
     target_mask: Tensor
     flown: Tensor
     nodes: Tensor
+    tracks: Tensor
 
     @classmethod
     def of(
@@ -166,6 +169,7 @@ class Segment:
         target_mask: Tensor,
         lengths_au: Tensor,
         nodes: Tensor,
+        tracks: Tensor,
     ) -> Segment:
         """Whole episodes. frames: (B, L, V, N, 4); lengths_au: (B, L) flown at each decision."""
         return cls(
@@ -174,6 +178,7 @@ class Segment:
             target_mask=target_mask,
             flown=(lengths_au / LENGTH_SCALE_AU).to(frames.dtype),
             nodes=nodes,
+            tracks=tracks,
         )
 
     def select(self, episodes: Tensor) -> Segment:
@@ -184,6 +189,7 @@ class Segment:
             target_mask=self.target_mask[episodes],
             flown=self.flown[episodes],
             nodes=self.nodes[episodes],
+            tracks=self.tracks[episodes],
         )
 
     def to(self, device: torch.device) -> Segment:
@@ -194,8 +200,13 @@ class Segment:
             target_mask=self.target_mask.to(device),
             flown=self.flown.to(device).float(),
             nodes=self.nodes.to(device),
+            tracks=self.tracks.to(device),
         )
 
     def mirrored(self, symmetries: Tensor) -> Segment:
         """The same episodes in a turned or mirrored square; see `Graphs.mirrored`."""
-        return replace(self, graphs=self.graphs.mirrored(symmetries))
+        return replace(
+            self,
+            graphs=self.graphs.mirrored(symmetries),
+            tracks=mirrored_tracks(self.tracks, symmetries),
+        )

@@ -51,12 +51,18 @@ class History:
 
     @torch.no_grad()
     def decide(
-        self, frame: Tensor, target_mask: Tensor, length_au: Tensor, current: Tensor
+        self,
+        frame: Tensor,
+        target_mask: Tensor,
+        length_au: Tensor,
+        current: Tensor,
+        tracks: Tensor,
     ) -> Verdict:
         """Take in the newest frame and judge the agent's next step.
 
         frame: (B, V, N, 4) belief features, where N may grow; target_mask: (B, N); length_au: (B,)
-        float64 flown so far; current: (B,) the agent's node -> logits (B, 1, k), value (B, 1)
+        float64 flown so far; current: (B,) the agent's node; tracks: (B, N, T) -> logits (B, 1, k),
+        value (B, 1)
         """
         known = [_widened(f, frame.shape[2]) for f in self._frames]
         self._frames = [*known, frame][-self._stride :]
@@ -76,7 +82,12 @@ class History:
         previous = current if self._node is None else self._node
         self._node = current
         return self._network.decide(
-            aware[:, :, :, 0], self._graphs, current[:, None], previous[:, None]
+            aware[:, :, :, 0],
+            self._graphs,
+            current[:, None],
+            previous[:, None],
+            tracks[:, None],
+            target_mask,
         )
 
     def _attend(

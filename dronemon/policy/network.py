@@ -38,6 +38,7 @@ from torch.nn.functional import pad, scaled_dot_product_attention
 
 from dronemon.errors import PolicyError
 from dronemon.policy.features import Graphs, Segment, num_windows, pool_windows
+from dronemon.policy.tracks import NUM_TRACK_FEATURES
 
 CLIP = 10.0
 """Logits are CLIP * tanh(...). Source: pointer network of the authors' release."""
@@ -49,6 +50,11 @@ As they are, they hardly move a new network; bfloat16's spacing at sigma' is 7 %
 """
 LEG_AU = 0.1
 """About the distance to a neighbour."""
+_NUM_OFFSETS = 8
+_MANY = 4.0
+"""Targets over whose number the sum of what they say is divided, to be of order one."""
+_HIDDEN = -1e4
+"""Score of what must not be seen; finite, for there may be nothing else."""
 NUM_MEASURES = 6
 """Numbers that `_measures` gives for each node."""
 
@@ -60,7 +66,7 @@ class NetworkConfig:
     predictions: give beliefs a little later, too (the paper's ablation "w/o" does not); temporal:
     how history is read. The rest is ours. newest: show windows' newest frames beside their means;
     ways: tell nodes how far apart they are along the roadmap; geometry: tell the decoder where
-    neighbours lie and where the agent comes from.
+    neighbours lie and where the agent comes from; tracks: show each target's own track to them.
     """
 
     width: int = 128
@@ -73,6 +79,7 @@ class NetworkConfig:
     newest: bool = False
     ways: bool = False
     geometry: bool = False
+    tracks: bool = False
 
     def __post_init__(self) -> None:
         if self.width % self.num_heads:
@@ -341,6 +348,66 @@ class Ways(nn.Module):
         return mean.transpose(2, 3) @ self.value
 
 
+class TrackEncoder(nn.Module):
+    """Targets learn of one another, then the agent's node and its neighbours query them."""
+
+    # Differs from STAMP: optional. There, what is known of a target reaches the decoder only
+    # through the beliefs at all nodes, mixed with those about the other targets.
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        width = config.width
+        self.own = nn.Linear(NUM_TRACK_FEATURES + _NUM_OFFSETS, width)
+        self.attention = Projections(width, config.num_heads)
+        self.targets = Residual(width, config.feed_forward)
+        self.offsets = nn.Linear(_NUM_OFFSETS, width)
+        self.pair = nn.Linear(width, width)
+        self.score = nn.Linear(width, config.num_heads)
+        self.out = nn.Linear(2 * width, width)
+        self.nodes = Residual(width, config.feed_forward)
+
+    def forward(
+        self, features: Tensor, tracks: Tensor, target_mask: Tensor, places: Tensor
+    ) -> Tensor:
+        """Features of the queried nodes that know how the targets lie to them.
+
+        features: (B, L, q, d), the agent's node first; tracks: (B, L, N, T); target_mask: (B, N);
+        places: (B, L, q, 2) of the nodes -> (B, L, q, d)
+        """
+        offsets = _offsets(tracks, places)  # (B, L, q, N, O)
+        tokens = torch.relu(self.own(torch.cat([tracks, offsets[:, :, 0]], dim=-1)))
+        maps, mask = self.attention, target_mask[:, None, None, None]
+        mixed = scaled_dot_product_attention(
+            maps.heads(maps.query(tokens)),
+            maps.heads(maps.key(tokens)),
+            maps.heads(maps.value(tokens)),
+            attn_mask=torch.where(mask, 0.0, _HIDDEN).to(tokens.dtype),
+        )
+        tokens = self.targets(tokens, maps.out(mixed.transpose(-3, -2).flatten(-2)))
+        pairs = torch.relu(self.offsets(offsets) + tokens[:, :, None])
+        pairs = torch.relu(self.pair(pairs))  # (B, L, q, N, d)
+        is_there = target_mask[:, None, None, :, None]
+        weights = self.score(pairs).masked_fill(~is_there, _HIDDEN).softmax(3)
+        heads = pairs.reshape(*weights.shape, -1)  # (B, L, q, N, H, d / H)
+        chosen = (weights[..., None] * heads).sum(3).flatten(-2)
+        total = (pairs * is_there).sum(3) / _MANY
+        result: Tensor = self.nodes(features, self.out(torch.cat([chosen, total], dim=-1)))
+        return result
+
+
+def _offsets(tracks: Tensor, places: Tensor) -> Tensor:
+    """How targets lie to nodes: last place and expected place, each as offset, distance, nearness.
+
+    tracks: (B, L, N, T); places: (B, L, q, 2) -> (B, L, q, N, 8)
+    """
+    parts = []
+    for first in (0, 2):
+        offset = tracks[:, :, None, :, first : first + 2] + 0.5 - places[:, :, :, None]
+        distance = (offset.square().sum(-1, keepdim=True) + 1e-6).sqrt()
+        parts += [offset / 0.3, distance / 0.3, torch.exp(-distance / LEG_AU)]
+    return torch.cat(parts, dim=-1)
+
+
 class Decoder(nn.Module):
     """The agent's node queries its neighbours; the pointer's scores are the policy.
 
@@ -393,6 +460,7 @@ class PolicyNetwork(nn.Module):
             TemporalEncoder(config) if config.temporal == "attention" else TemporalMemory(config)
         )
         self.spatial_encoder = SpatialEncoder(config)
+        self.track_encoder = TrackEncoder(config) if config.tracks else None
         self.decoder = Decoder(config)
 
     def forward(self, segment: Segment, history: int) -> Verdict:
@@ -413,7 +481,9 @@ class PolicyNetwork(nn.Module):
             )
         nodes = aware.permute(0, 3, 1, 2, 4).flatten(1, 2)[:, :length]  # (B, L, V, d)
         previous = torch.cat([segment.nodes[:, :1], segment.nodes[:, :-1]], dim=1)
-        return self.decide(nodes, segment.graphs, segment.nodes, previous)
+        return self.decide(
+            nodes, segment.graphs, segment.nodes, previous, segment.tracks, segment.target_mask
+        )
 
     def windows(self, frames: Tensor, stride: int, first: int = 0) -> Tensor:
         """What is seen at each decision from the `first` on, of order one.
@@ -428,17 +498,29 @@ class PolicyNetwork(nn.Module):
         # Differs from STAMP: optional. The mean alone shows what just changed a fifth as strong.
         return torch.cat([pooled, shown[:, first:]], dim=-1) if self.config.newest else pooled
 
-    def decide(self, nodes: Tensor, graphs: Graphs, current: Tensor, previous: Tensor) -> Verdict:
+    def decide(
+        self,
+        nodes: Tensor,
+        graphs: Graphs,
+        current: Tensor,
+        previous: Tensor,
+        tracks: Tensor,
+        target_mask: Tensor,
+    ) -> Verdict:
         """From time-aware node features to the policy.
 
         nodes: (B, L, V, d); current: (B, L) the agent's nodes; previous: (B, L) those before them,
-        at the start of an episode the same
+        at the start of an episode the same; tracks: (B, L, N, T); target_mask: (B, N)
         """
         neighbours = _rows(graphs.neighbours, current)  # (B, L, k)
         queried = torch.cat([current[..., None], neighbours], dim=-1)
         distances = _rows(graphs.distances, current).gather(2, queried)[..., None]
+        features = self.spatial_encoder(nodes, graphs, queried)
+        if self.track_encoder is not None:
+            places = _rows(graphs.coordinates, queried)
+            features = self.track_encoder(features, tracks, target_mask, places)
         verdict: Verdict = self.decoder(
-            self.spatial_encoder(nodes, graphs, queried),
+            features,
             _measures(distances, graphs, queried, previous) if self.config.geometry else distances,
             _rows(graphs.neighbour_mask, current),
         )

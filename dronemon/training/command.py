@@ -81,6 +81,10 @@ def train_command(
             help="Ours: tell the decoder where neighbours lie and where the agent comes from.",
         ),
     ] = False,
+    tracks: Annotated[
+        bool,
+        typer.Option("--tracks/--no-tracks", help="Ours: show each target's last sightings."),
+    ] = False,
     episodes: Annotated[
         int | None, typer.Option(min=1, help="Episodes per iteration, over all processes.")
     ] = None,
@@ -120,6 +124,7 @@ def train_command(
             newest=newest,
             ways=ways,
             geometry=geometry,
+            tracks=tracks,
         ),
         paper=paper,
         expert=expert,

@@ -86,9 +86,9 @@ class ExpertConfig:
     decisions: int = 256
     updates: int = 128
     minibatch_episodes: int = 2
-    learning_rate: float = 7e-4
+    learning_rate: float = 2e-3
     final_learning_rate: float = 2e-5
-    warmup_updates: int = 50
+    warmup_updates: int = 100
     max_gradient: float = 1.0
     temperature: float = 0.01
     imitation_share: float = 1.0

@@ -76,6 +76,7 @@ def play(
             seen[-1].target_mask,
             lengths_au[:, :-1],
             torch.stack([o.node for o in seen], dim=1),
+            torch.stack([o.tracks for o in seen], dim=1),
         ),
         actions=torch.stack(actions, dim=1),
         logits=torch.cat([v.logits for v in verdicts], dim=1),
@@ -105,5 +106,9 @@ def greedy(verdict: Verdict, observation: Observation) -> Tensor:
 
 def _judge(memory: History, observation: Observation) -> Verdict:
     return memory.decide(
-        observation.frames, observation.target_mask, observation.length_au, observation.node
+        observation.frames,
+        observation.target_mask,
+        observation.length_au,
+        observation.node,
+        observation.tracks,
     )

@@ -27,7 +27,9 @@ def make_planner() -> tuple[LearnedPlanner, PolicyNetwork]:
     with torch.random.fork_rng():
         torch.manual_seed(1)
         network = PolicyNetwork(
-            NetworkConfig(width=16, feed_forward=24, newest=True, ways=True, geometry=True)
+            NetworkConfig(
+                width=16, feed_forward=24, newest=True, ways=True, geometry=True, tracks=True
+            )
         ).eval()
     checkpoint = Checkpoint(network=network, card=CARD)
     return LearnedPlanner(checkpoint, history=10), network
@@ -112,7 +114,11 @@ def test_it_decides_as_in_the_environment_it_was_trained_in() -> None:
     for _ in range(40):
         waypoint = planner.next_waypoint(mission.snapshot())
         verdict = memory.decide(
-            observation.frames, observation.target_mask, observation.length_au, observation.node
+            observation.frames,
+            observation.target_mask,
+            observation.length_au,
+            observation.node,
+            observation.tracks,
         )
         logits = verdict.logits[0, 0][observation.neighbour_mask[0]]
         np.testing.assert_allclose(waypoint.details["logits"], logits.numpy(), atol=1e-4)

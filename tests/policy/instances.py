@@ -7,7 +7,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from dronemon.policy import Graphs
+from dronemon.policy import NUM_TRACK_FEATURES, Graphs
 
 
 def random_graphs(num_nodes: int, num_neighbours: int, rng: torch.Generator) -> Graphs:
@@ -27,6 +27,11 @@ def random_frames(
 ) -> Tensor:
     """Belief features of whole episodes. -> (B, L, V, N, F)."""
     return torch.rand(num_episodes, length, num_nodes, num_targets, 4, generator=rng)
+
+
+def random_tracks(num_episodes: int, length: int, num_targets: int, rng: torch.Generator) -> Tensor:
+    """What sightings say of each target. -> (B, L, N, T)."""
+    return torch.rand(num_episodes, length, num_targets, NUM_TRACK_FEATURES, generator=rng) - 0.5
 
 
 def random_walk(graphs: Graphs, length: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:

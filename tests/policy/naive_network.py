@@ -58,10 +58,12 @@ def naive_verdict(
     lengths_au: Tensor,
     nodes: tuple[int, int],
     history: int,
+    tracks: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Logits (k,) and value () of the last decision of one episode.
 
-    frames: (L, V, N, 4); graphs: of one episode; nodes: the agent's, and the one before.
+    frames: (L, V, N, 4); graphs: of one episode; nodes: the agent's, and the one before; tracks:
+    (N, T) of the last decision.
     """
     config = network.config
     stride = min(config.stride, history)
@@ -97,6 +99,8 @@ def naive_verdict(
     related = _related_layer(
         spatial, (aware + spatial.eigenvectors(graphs.eigenvectors[0]))[None], graphs, current
     )[0]
+    if config.tracks:
+        related = _tracked(network.track_encoder, related, tracks[target_mask], graphs, current)
     ways = graphs.distances[0, current][:, None]
     if config.geometry:
         places = graphs.coordinates[0]
@@ -113,6 +117,43 @@ def naive_verdict(
     scores = network.decoder.pointer_key(neighbours) @ network.decoder.pointer_query(chosen)
     logits = 10.0 * torch.tanh(scores / math.sqrt(config.width))
     return logits.masked_fill(~mask, -torch.inf), network.decoder.value(chosen)[0]
+
+
+def _tracked(
+    encoder: nn.Module, nodes: Tensor, tracks: Tensor, graphs: Graphs, here: int
+) -> Tensor:
+    """Every node of the roadmap looks at every target. nodes: (V, d); tracks: (N, T)."""
+    places = graphs.coordinates[0]
+
+    def lies(track: Tensor, node: int) -> Tensor:
+        numbers = []
+        for place in (track[:2], track[2:4]):
+            offset = place + 0.5 - places[node]
+            distance = (offset @ offset + 1e-6).sqrt()
+            numbers += [offset / 0.3, distance[None] / 0.3, torch.exp(-distance[None] / 0.1)]
+        return torch.cat(numbers)
+
+    own = torch.stack([torch.cat([track, lies(track, here)]) for track in tracks])
+    tokens = encoder.own(own).relu()
+    everything = torch.ones(len(tokens), len(tokens), dtype=torch.bool)
+    mixed = naive_attention(encoder.attention, tokens, tokens, everything)
+    layer = encoder.targets
+    hidden = layer.norm_attended(tokens + mixed)
+    tokens = layer.norm_out(hidden + layer.feed_forward(hidden))
+    heads, told = encoder.attention.num_heads, []
+    for node in range(len(nodes)):
+        pairs = torch.stack(
+            [
+                encoder.pair((encoder.offsets(lies(track, node)) + token).relu()).relu()
+                for track, token in zip(tracks, tokens, strict=True)
+            ]
+        )
+        weights = encoder.score(pairs).softmax(0)  # (N, H)
+        chosen = [weights[:, head] @ part for head, part in enumerate(pairs.chunk(heads, dim=-1))]
+        told.append(torch.cat([*chosen, pairs.sum(0) / 4.0]))
+    layer = encoder.nodes
+    hidden = layer.norm_attended(nodes + encoder.out(torch.stack(told)))
+    return layer.norm_out(hidden + layer.feed_forward(hidden))
 
 
 def _related_layer(spatial: nn.Module, nodes: Tensor, graphs: Graphs, current: int) -> Tensor:

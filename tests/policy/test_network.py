@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import pytest
 import torch
-from instances import random_frames, random_graphs, random_walk
+from instances import random_frames, random_graphs, random_tracks, random_walk
 from naive_network import naive_verdict
 from torch import Tensor
 
 from dronemon.errors import PolicyError
 from dronemon.policy import Graphs, History, NetworkConfig, PolicyNetwork, Segment
+from dronemon.policy.tracks import mirrored_tracks
 
+Episodes = tuple[Graphs, Tensor, Tensor, Tensor, Tensor, Tensor]
 SMALL = NetworkConfig(width=16, num_heads=4, feed_forward=24)
 VARIANTS = {
     "paper": SMALL,
@@ -22,7 +24,8 @@ VARIANTS = {
     "newest without predictions": replace(SMALL, newest=True, predictions=False),
     "ways": replace(SMALL, ways=True),
     "geometry": replace(SMALL, geometry=True),
-    "ours": replace(SMALL, newest=True, ways=True, geometry=True),
+    "tracks": replace(SMALL, tracks=True),
+    "ours": replace(SMALL, newest=True, ways=True, geometry=True, tracks=True),
     "stride 3": replace(SMALL, stride=3),
 }
 
@@ -35,9 +38,9 @@ def make_network(config: NetworkConfig, dtype: torch.dtype = torch.float64) -> P
 
 def make_episodes(
     sizes: list[tuple[int, int]], length: int, seed: int, dtype: torch.dtype = torch.float64
-) -> tuple[Graphs, Tensor, Tensor, Tensor, Tensor]:
+) -> Episodes:
     """Episodes of different (V, N) in one padded batch: graphs, frames, target mask, lengths,
-    nodes.
+    nodes, tracks.
     """
     rng = torch.Generator().manual_seed(seed)
     graphs = Graphs.concatenate([random_graphs(v, 6, rng) for v, _ in sizes])
@@ -51,17 +54,18 @@ def make_episodes(
     frames = random_frames(len(sizes), length, graphs.num_nodes, num_targets, rng).to(dtype)
     mask = torch.tensor([[i < n for i in range(num_targets)] for _, n in sizes])
     nodes, lengths_au = random_walk(graphs, length, rng)
-    return graphs, frames, mask, lengths_au, nodes
+    tracks = random_tracks(len(sizes), length, num_targets, rng).to(dtype)
+    return graphs, frames, mask, lengths_au, nodes, tracks
 
 
 def naive_all(
     network: PolicyNetwork,
-    episodes: tuple[Graphs, Tensor, Tensor, Tensor, Tensor],
+    episodes: Episodes,
     sizes: list[tuple[int, int]],
     history: int,
 ) -> tuple[Tensor, Tensor]:
     """Every decision of every episode by the reference, each episode without its padding."""
-    graphs, frames, _, lengths_au, nodes = episodes
+    graphs, frames, _, lengths_au, nodes, tracks = episodes
     logits, values = [], []
     for b, (v, n) in enumerate(sizes):
         own = graphs.select(torch.tensor([b]))
@@ -82,6 +86,7 @@ def naive_all(
                 lengths_au[b, : t + 1],
                 (int(nodes[b, t]), int(nodes[b, max(0, t - 1)])),
                 history,
+                tracks[b, t, :n],
             )
             logits.append(logit)
             values.append(value)
@@ -106,8 +111,8 @@ def test_outputs_and_gradients_of_a_segment_equal_the_reference(variant: str, hi
     sizes = [(12, 2), (17, 3)]
     network = make_network(VARIANTS[variant])
     episodes = make_episodes(sizes, length=16, seed=history)
-    graphs, frames, mask, lengths_au, nodes = episodes
-    segment = Segment.of(graphs, frames, mask, lengths_au, nodes)
+    graphs, frames, mask, lengths_au, nodes, tracks = episodes
+    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, tracks)
     verdict = network(segment, history)
     logits, values = naive_all(network, episodes, sizes, history)
     torch.testing.assert_close(verdict.logits, logits, rtol=0.0, atol=1e-9)
@@ -128,11 +133,11 @@ def test_one_decision_after_another_equals_the_reference(variant: str, history: 
     sizes = [(12, 2), (17, 3)]
     network = make_network(VARIANTS[variant])
     episodes = make_episodes(sizes, length=21, seed=3)
-    graphs, frames, mask, lengths_au, nodes = episodes
+    graphs, frames, mask, lengths_au, nodes, tracks = episodes
     memory = History(network, graphs, history)
     logits, values = naive_all(network, episodes, sizes, history)
     for t in range(frames.shape[1]):
-        verdict = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t])
+        verdict = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t], tracks[:, t])
         torch.testing.assert_close(verdict.logits[:, 0], logits[:, t], rtol=0.0, atol=1e-9)
         torch.testing.assert_close(verdict.value[:, 0], values[:, t], rtol=0.0, atol=1e-9)
 
@@ -141,8 +146,8 @@ def test_single_precision_at_the_papers_width_stays_within_1e_5() -> None:
     sizes = [(40, 4)]
     network = make_network(NetworkConfig(), torch.float32)
     episodes = make_episodes(sizes, length=27, seed=5, dtype=torch.float32)
-    graphs, frames, mask, lengths_au, nodes = episodes
-    segment = Segment.of(graphs, frames, mask, lengths_au, nodes)
+    graphs, frames, mask, lengths_au, nodes, tracks = episodes
+    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, tracks)
     with torch.no_grad():
         logits, values = naive_all(network, episodes, sizes, 20)
         verdict = network(segment, 20)
@@ -150,33 +155,36 @@ def test_single_precision_at_the_papers_width_stays_within_1e_5() -> None:
     torch.testing.assert_close(verdict.logits, logits, rtol=0.0, atol=1e-5)
     torch.testing.assert_close(verdict.value, values, rtol=0.0, atol=1e-5)
     for t in range(frames.shape[1]):
-        now = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t])
+        now = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t], tracks[:, t])
         torch.testing.assert_close(now.logits[:, 0], logits[:, t], rtol=0.0, atol=1e-5)
 
 
 def test_an_endless_mission_keeps_its_precision() -> None:
     network = make_network(SMALL, torch.float32)
-    graphs, frames, mask, lengths_au, nodes = make_episodes([(12, 2)], 20, 1, torch.float32)
+    graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 2)], 20, 1, torch.float32)
     near, far = History(network, graphs, 10), History(network, graphs, 10)
     for t in range(20):
-        now = near.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t])
-        later = far.decide(frames[:, t], mask, lengths_au[:, t] + 1e6, nodes[:, t])
+        now = near.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t], tracks[:, t])
+        later = far.decide(frames[:, t], mask, lengths_au[:, t] + 1e6, nodes[:, t], tracks[:, t])
         torch.testing.assert_close(now.logits, later.logits, rtol=0.0, atol=1e-5)
 
 
 def test_the_order_of_targets_does_not_matter() -> None:
     network = make_network(SMALL)
-    graphs, frames, mask, lengths_au, nodes = make_episodes([(12, 4)], 11, 2)
-    segment = Segment.of(graphs, frames, mask, lengths_au, nodes)
+    graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 4)], 11, 2)
+    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, tracks)
     order = torch.tensor([2, 0, 3, 1])
     verdict = network(segment, 10)
-    other = network(replace(segment, frames=segment.frames[:, :, :, order]), 10)
+    turned = replace(
+        segment, frames=segment.frames[:, :, :, order], tracks=segment.tracks[:, :, order]
+    )
+    other = network(turned, 10)
     torch.testing.assert_close(verdict.logits, other.logits, rtol=0.0, atol=1e-12)
 
 
 def test_a_target_seen_for_the_first_time_joins_the_history() -> None:
     network = make_network(SMALL)
-    graphs, frames, _, lengths_au, nodes = make_episodes([(12, 3)], 6, 2)
+    graphs, frames, _, lengths_au, nodes, tracks = make_episodes([(12, 3)], 6, 2)
     memory = History(network, graphs, 10)
     for t, known in enumerate([1, 1, 2, 2, 3, 3]):
         verdict = memory.decide(
@@ -184,15 +192,17 @@ def test_a_target_seen_for_the_first_time_joins_the_history() -> None:
             torch.ones(1, known, dtype=torch.bool),
             lengths_au[:, t],
             nodes[:, t],
+            tracks[:, t, :known],
         )
         assert bool(verdict.logits.isfinite().any())
 
 
 def test_later_decisions_do_not_change_earlier_ones() -> None:
     network = make_network(SMALL)
-    graphs, frames, mask, lengths_au, nodes = make_episodes([(12, 2)], 23, 4)
-    whole = network(Segment.of(graphs, frames, mask, lengths_au, nodes), 10)
-    part = network(Segment.of(graphs, frames[:, :9], mask, lengths_au[:, :9], nodes[:, :9]), 10)
+    graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 2)], 23, 4)
+    whole = network(Segment.of(graphs, frames, mask, lengths_au, nodes, tracks), 10)
+    start = [x[:, :9] for x in (frames, lengths_au, nodes, tracks)]
+    part = network(Segment.of(graphs, start[0], mask, *start[1:]), 10)
     torch.testing.assert_close(whole.logits[:, :9], part.logits, rtol=0.0, atol=1e-12)
 
 
@@ -210,10 +220,13 @@ def test_symmetries_of_the_square_are_eight_and_keep_distances() -> None:
 
 def test_a_mirrored_segment_is_that_of_the_mirrored_roadmap() -> None:
     network = make_network(VARIANTS["ours"])
-    graphs, frames, mask, lengths_au, nodes = make_episodes([(12, 2)], 9, 6)
+    graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 2)], 9, 6)
     symmetry = torch.tensor([5])
-    seen = network(Segment.of(graphs, frames, mask, lengths_au, nodes).mirrored(symmetry), 8)
-    mirrored = (graphs.mirrored(symmetry), frames, mask, lengths_au, nodes)
+    seen = network(
+        Segment.of(graphs, frames, mask, lengths_au, nodes, tracks).mirrored(symmetry), 8
+    )
+    turned = mirrored_tracks(tracks, symmetry)
+    mirrored = (graphs.mirrored(symmetry), frames, mask, lengths_au, nodes, turned)
     logits, _ = naive_all(network, mirrored, [(12, 2)], 8)
     torch.testing.assert_close(seen.logits, logits, rtol=0.0, atol=1e-9)
 

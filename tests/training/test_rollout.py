@@ -29,7 +29,9 @@ def make_network() -> PolicyNetwork:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         return PolicyNetwork(
-            NetworkConfig(width=16, feed_forward=24, newest=True, ways=True, geometry=True)
+            NetworkConfig(
+                width=16, feed_forward=24, newest=True, ways=True, geometry=True, tracks=True
+            )
         )
 
 

@@ -21,7 +21,9 @@ from dronemon.training import METRICS, Plan, train
 from dronemon.training.imitation import ExpertConfig
 from dronemon.training.ppo import PpoConfig
 
-SMALL = NetworkConfig(width=16, num_heads=2, feed_forward=24, newest=True, ways=True, geometry=True)
+SMALL = NetworkConfig(
+    width=16, num_heads=2, feed_forward=24, newest=True, ways=True, geometry=True, tracks=True
+)
 PAPER = PpoConfig(
     episodes_per_iteration=3,
     decisions=12,
