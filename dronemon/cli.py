@@ -202,18 +202,22 @@ async def _with_everything(
     """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
     folder, mission = recorder.folder, file.mission
     async with contextlib.AsyncExitStack() as stack:
-        rehearsal = asyncio.create_task(asyncio.to_thread(rehearse, mission, planner))
         sim: Simulator | None = None
-        if mission.vehicle.is_mock or follow:
-            sim = await stack.enter_async_context(
-                simulator(
-                    folder.path / "mission.yaml",
-                    truth=folder.path / "truth.jsonl",
-                    log=folder.path / "simulator.log",
-                    follow=follow,
-                )
-            )
-        await rehearsal
+        try:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(rehearse(mission, planner, interrupts), name="rehearsal")
+                if mission.vehicle.is_mock or follow:
+                    sim = await stack.enter_async_context(
+                        simulator(
+                            folder.path / "mission.yaml",
+                            truth=folder.path / "truth.jsonl",
+                            log=folder.path / "simulator.log",
+                            follow=follow,
+                        )
+                    )
+        except BaseExceptionGroup as group_error:
+            # The first failure cancelled the other.
+            raise group_error.exceptions[0] from None
         priors_au = _priors(mission, sim)
         view = stack.enter_context(
             FlightView(

@@ -108,7 +108,8 @@ class Autopilot:
     def is_setpoint_late(self) -> bool:
         """Whether it flies an offboard setpoint that should have been followed by another."""
         age_s = self.time_s - self._offboard_at_s
-        return self.commander.mode is Mode.OFFBOARD and age_s > _SETPOINT_LATE_S
+        is_flying_it = self.commander.is_armed and self.commander.mode is Mode.OFFBOARD
+        return is_flying_it and age_s > _SETPOINT_LATE_S
 
     def take_offboard(self, setpoint: Setpoint) -> None:
         """Take a setpoint from outside; it counts as a sign of life of its sender."""

@@ -137,6 +137,9 @@ def test_instance_is_the_same_alone_and_in_company():
         shape = first.frames.shape[1:3]
         got = together_first.frames[k, : shape[0], : shape[1]]
         torch.testing.assert_close(got, first.frames[0], rtol=0, atol=1e-6)
+        got = stacked(together, lambda s: s.observation.tracks)[:, k, : shape[1]]
+        tracks = stacked(alone, lambda s: s.observation.tracks)[:, 0]
+        torch.testing.assert_close(got, tracks, rtol=0, atol=1e-6)
 
 
 def test_instance_is_the_same_in_another_process():
@@ -208,6 +211,10 @@ def test_decisions_run_on_over_restarts_until_all_are_taken():
     after = stacked(steps, lambda s: s.observation.length_au)
     assert (after[:-1][terminated[:-1]] == 0.0).all()
     assert (after[:-1][~terminated[:-1]] > 0.0).all()
+    tracks = stacked(steps, lambda s: s.observation.tracks)[:-1]
+    assert (tracks[terminated[:-1]][..., 10] == 1.0).all(), "placed by the prior"
+    assert not tracks[terminated[:-1]][..., 4:10].any(), "and nothing else is known"
+    assert tracks[~terminated[:-1]][..., 4:10].any()
 
 
 def test_no_prior_lets_targets_join_when_seen():

@@ -83,7 +83,7 @@ class Group:
 
 
 def is_ready() -> bool:
-    """Whether an earlier process has left the compiled loops on this machine."""
+    """Whether an earlier process has left compiled loops on this machine, of this code or older."""
     folder = _predict.stats.cache_path
     return folder is not None and any(Path(folder).glob("compiled._predict-*.nbi"))
 

@@ -200,7 +200,7 @@ class Segment:
             target_mask=self.target_mask.to(device),
             flown=self.flown.to(device).float(),
             nodes=self.nodes.to(device),
-            tracks=self.tracks.to(device),
+            tracks=self.tracks.to(device).float(),
         )
 
     def mirrored(self, symmetries: Tensor) -> Segment:

@@ -18,7 +18,10 @@ NUM_TRACK_FEATURES = 11
 NUM_TRACK_VECTORS = 3
 """Of T, the pairs that come first and turn with the square; see `Tracks.features`."""
 _GAP_AU = 0.35
-"""Sightings no further apart belong to one contact, in which a target goes straight."""
+"""Sightings no further apart belong to one contact, in which a target is thought to go straight.
+
+A contact may last longer than that: a drone that stays near a target is shown a mean velocity.
+"""
 _BASE_AU = 0.05
 """A contact this long gives a velocity."""
 _CARRIED_AU = 0.15
@@ -38,18 +41,18 @@ class Tracks:
         num_episodes: int,
         num_targets: int,
         *,
-        dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
     ) -> None:
         def zeros(*shape: int) -> Tensor:
-            return torch.zeros(num_episodes, *shape, dtype=dtype, device=device)
+            return torch.zeros(num_episodes, *shape, dtype=torch.float64, device=device)
 
-        self._place, self._contact_place = zeros(num_targets, 2), zeros(num_targets, 2)
-        self._seen_at, self._contact_at = zeros(num_targets), zeros(num_targets)
-        self._velocity, self._missed_at = zeros(num_targets, 2), zeros(num_targets)
+        self._place_au, self._contact_place_au = zeros(num_targets, 2), zeros(num_targets, 2)
+        self._seen_at_au, self._contact_at_au = zeros(num_targets), zeros(num_targets)
+        self._velocity, self._missed_at_au = zeros(num_targets, 2), zeros(num_targets)
         self._is_placed = zeros(num_targets).bool()
         self._has_velocity = zeros(num_targets).bool()
-        self._way, self._duration = zeros(), zeros()  # of all contacts, for the targets' speed
+        # Of all contacts, for the targets' speed:
+        self._way_au, self._duration_au = zeros(), zeros()
 
     def clear(self, episodes: Tensor) -> None:
         """Forget all about some episodes. episodes: (B,) bool."""
@@ -58,66 +61,66 @@ class Tracks:
 
     def widen(self, num_targets: int) -> None:
         """Make room for targets that were unknown so far."""
-        more = num_targets - self._place.shape[1]
+        more = num_targets - self._place_au.shape[1]
         for name, value in vars(self).items():
             if value.dim() > 1 and more > 0:
                 empty = value.new_zeros(len(value), more, *value.shape[2:])
                 setattr(self, name, torch.cat([value, empty], dim=1))
 
-    def add_prior(self, known: Tensor, targets: Tensor) -> None:
-        """Positions known at time 0. known: (B, N) bool; targets: (B, N, 2)."""
-        self._place = torch.where(known[..., None], targets, self._place)
-        self._contact_place = torch.where(known[..., None], targets, self._contact_place)
+    def add_prior(self, known: Tensor, targets_au: Tensor) -> None:
+        """Positions known at time 0. known: (B, N) bool; targets_au: (B, N, 2)."""
+        self._place_au = torch.where(known[..., None], targets_au, self._place_au)
+        self._contact_place_au = torch.where(known[..., None], targets_au, self._contact_place_au)
         self._is_placed = self._is_placed | known
 
     def add(
-        self, time: Tensor, agent: Tensor, seen: Tensor, targets: Tensor, active: Tensor
+        self, time_au: Tensor, agent_au: Tensor, seen: Tensor, targets_au: Tensor, active: Tensor
     ) -> None:
         """Take in one measurement.
 
-        time: (B,); agent: (B, 2); seen: (B, N) bool; targets: (B, N, 2), anything where not seen;
-        active: (B,) bool, false in episodes that did not measure
+        time_au: (B,); agent_au: (B, 2); seen: (B, N) bool; targets_au: (B, N, 2), anything where
+        not seen; active: (B,) bool, false in episodes that did not measure
         """
         seen = seen & active[:, None]
-        now = time[:, None]
-        near = (self._expected(now) - agent[:, None]).norm(dim=-1) < SENSOR_RADIUS_AU
+        now_au = time_au[:, None]
+        near = (self._expected(now_au) - agent_au[:, None]).norm(dim=-1) < SENSOR_RADIUS_AU
         is_missed = near & ~seen & active[:, None] & self._is_placed
-        self._missed_at = torch.where(is_missed, now, self._missed_at)
+        self._missed_at_au = torch.where(is_missed, now_au, self._missed_at_au)
 
-        since = now - self._seen_at
+        since = now_au - self._seen_at_au
         goes_on = seen & self._is_placed & (since <= _GAP_AU)
         begins = seen & ~goes_on
-        step = torch.where(goes_on[..., None], targets - self._place, 0.0).norm(dim=-1)
-        self._way = self._way + step.sum(1)
-        self._duration = self._duration + torch.where(goes_on, since, 0.0).sum(1)
+        step = torch.where(goes_on[..., None], targets_au - self._place_au, 0.0).norm(dim=-1)
+        self._way_au = self._way_au + step.sum(1)
+        self._duration_au = self._duration_au + torch.where(goes_on, since, 0.0).sum(1)
         # A new contact tells only the mean velocity since the last one.
-        drift = (targets - self._place) / since.clamp(min=_BASE_AU)[..., None]
+        drift = (targets_au - self._place_au) / since.clamp(min=_BASE_AU)[..., None]
         drift = torch.where(self._is_placed[..., None], drift, 0.0)
-        length = now - self._contact_at
-        straight = (targets - self._contact_place) / length.clamp(min=_BASE_AU)[..., None]
+        length = now_au - self._contact_at_au
+        straight = (targets_au - self._contact_place_au) / length.clamp(min=_BASE_AU)[..., None]
         is_straight = goes_on & (length >= _BASE_AU)
         self._velocity = torch.where(begins[..., None], drift, self._velocity)
         self._velocity = torch.where(is_straight[..., None], straight, self._velocity)
         self._has_velocity = torch.where(begins, False, self._has_velocity | is_straight)
-        self._contact_place = torch.where(begins[..., None], targets, self._contact_place)
-        self._contact_at = torch.where(begins, now, self._contact_at)
-        self._place = torch.where(seen[..., None], targets, self._place)
-        self._seen_at = torch.where(seen, now, self._seen_at)
+        self._contact_place_au = torch.where(begins[..., None], targets_au, self._contact_place_au)
+        self._contact_at_au = torch.where(begins, now_au, self._contact_at_au)
+        self._place_au = torch.where(seen[..., None], targets_au, self._place_au)
+        self._seen_at_au = torch.where(seen, now_au, self._seen_at_au)
         self._is_placed = self._is_placed | seen
 
-    def features(self, time: Tensor) -> Tensor:
-        """What the network is shown. time: (B,) -> (B, N, T) float32.
+    def features(self, time_au: Tensor) -> Tensor:
+        """What the network is shown. time_au: (B,) -> (B, N, T) float32.
 
         Offset from the square's centre of the place where it was seen last and of the one where it
-        is thought to be, velocity; whether the velocity is that of one contact, time since the
-        sighting (as a logarithm), how lately it was not where it was thought to be (1: now, 0:
-        never), speed of all targets, whether it was ever placed.
+        is thought to be, ten times the velocity; whether the velocity is that of one contact, time
+        since the sighting (as a logarithm), how lately it was not where it was thought to be (1:
+        now, 0: never), ten times the speed of all targets, whether it was ever placed.
         """
-        now = time[:, None]
-        age = now - self._seen_at
-        was_missed = self._missed_at > self._seen_at
-        missed = torch.where(was_missed, torch.exp((self._missed_at - now) / _MISSED_AU), 0.0)
-        speed = self._way / self._duration.clamp(min=_BASE_AU)
+        now_au = time_au[:, None]
+        age = now_au - self._seen_at_au
+        was_missed = self._missed_at_au > self._seen_at_au
+        missed = torch.where(was_missed, torch.exp((self._missed_at_au - now_au) / _MISSED_AU), 0.0)
+        speed = self._way_au / self._duration_au.clamp(min=_BASE_AU)
         numbers = torch.stack(
             [
                 self._has_velocity.to(age.dtype),
@@ -128,15 +131,18 @@ class Tracks:
             ],
             dim=-1,
         )
-        vectors = [self._place - 0.5, self._expected(now) - 0.5, 10.0 * self._velocity]
+        vectors = [self._place_au - 0.5, self._expected(now_au) - 0.5, 10.0 * self._velocity]
         shown = torch.cat([*vectors, numbers], dim=-1)
         return torch.where(self._is_placed[..., None], shown, 0.0).float()
 
-    def _expected(self, now: Tensor) -> Tensor:
-        """Where targets are thought to be: straight on, for a while. now: (B, 1) -> (B, N, 2)."""
-        way = self._velocity * (now - self._seen_at)[..., None]
+    def _expected(self, now_au: Tensor) -> Tensor:
+        """Where targets are thought to be: straight on, for a while.
+
+        now_au: (B, 1) -> (B, N, 2).
+        """
+        way = self._velocity * (now_au - self._seen_at_au)[..., None]
         length = way.norm(dim=-1, keepdim=True).clamp(min=1e-9)
-        expected: Tensor = self._place + way * (_CARRIED_AU / length).clamp(max=1.0)
+        expected: Tensor = self._place_au + way * (_CARRIED_AU / length).clamp(max=1.0)
         return expected.clamp(0.0, 1.0)
 
 

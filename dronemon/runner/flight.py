@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +25,7 @@ from dronemon.runner.preparation import (
     make_detector,
 )
 from dronemon.runner.report import Reporter
-from dronemon.runner.status import Audience, FlightStatus, Interrupts
+from dronemon.runner.status import Audience, FlightStatus, Interrupted, Interrupts
 from dronemon.types import FloatArray
 from dronemon.vehicle import VehicleLink
 from dronemon.viz import FlightView
@@ -48,10 +47,6 @@ class FlightResult:
     landing_error_m: float | None
     patrol: Patrol | None
     error: DronemonError | None
-
-
-class _Interrupted(Exception):
-    """A person stopped the flight before the patrol."""
 
 
 async def fly(
@@ -126,33 +121,16 @@ class _Flight:
     async def _tell_the_story(self) -> str:
         """Everything up to the way home. -> outcome"""
         try:
-            async with self._interruptible():
+            async with self._interrupts.leaving():
                 patrol = self._patrol = await self._prepare()
             await self._launch()
-        except _Interrupted:
+        except Interrupted:
             return "interrupted"
         except ControlTaken as exc:
             if exc.by_failsafe or await self._home.wait_for_pilot(exc):
                 raise  # too early to go on: come home
             return "pilot"
         return await self._watch_over(patrol)
-
-    @contextlib.asynccontextmanager
-    async def _interruptible(self) -> AsyncIterator[None]:
-        """Leave the body at the first interrupt. Raises _Interrupted then."""
-        if self._interrupts.return_home:
-            raise _Interrupted
-        loop = asyncio.get_running_loop()
-        try:
-            async with asyncio.timeout(None) as scope:
-                self._interrupts.on_request = lambda: scope.reschedule(loop.time())
-                yield
-        except TimeoutError as exc:
-            if scope.expired():
-                raise _Interrupted from exc
-            raise
-        finally:
-            self._interrupts.on_request = None
 
     # On the ground
 
@@ -215,12 +193,12 @@ class _Flight:
     async def _launch(self) -> None:
         """Arm and climb."""
         if self._interrupts.return_home:
-            raise _Interrupted
+            raise Interrupted
         self._home.arm_was_asked = True
         self._report.progress(self._status("arming"))
         await self._link.arm()  # not interruptible: it could arm after nobody waits any more
         self._report.note("armed", "motors are running")
-        async with self._interruptible():
+        async with self._interrupts.leaving():
             self._has_flown = True
             self._report.progress(self._status("taking off"))
             await self._link.take_off(self._mission.flight.altitude_m)

@@ -8,11 +8,9 @@ the planner, one after the other, in threads.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
-import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -25,9 +23,10 @@ from dronemon.frames import AreaFrame
 from dronemon.guidance import Carrot
 from dronemon.mission import Mission
 from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
-from dronemon.planner import Planner, Snapshot, Waypoint
+from dronemon.planner import Planner, Snapshot
 from dronemon.recorder import RunRecorder
 from dronemon.roadmap import Roadmap
+from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.report import Reporter
 from dronemon.runner.status import REPORT_INTERVAL_S, FlightStatus, Interrupts
 from dronemon.types import FloatArray, Measurement, Picture, Pose
@@ -300,7 +299,7 @@ class Patrol:
         self._new.clear()
         began = time.perf_counter()
         try:
-            waypoint = await _in_daemon_thread(partial(self._kit.planner.next_waypoint, snapshot))
+            waypoint = await in_daemon_thread(partial(self._kit.planner.next_waypoint, snapshot))
         except Exception as exc:
             raise PlannerError(
                 f"planner '{self._kit.planner.name}' failed: {exc!r}; the drone returns"
@@ -352,36 +351,6 @@ class Patrol:
         last_s = self.tally.last_seen_s if self.tally else {}
         names = [target.name for target in self._kit.mission.targets]
         return {name: now_s - last_s[name] if name in last_s else None for name in names}
-
-
-async def _in_daemon_thread(call: Callable[[], Waypoint]) -> Waypoint:
-    """Run a planner where it can hang without keeping the program from ending."""
-    loop = asyncio.get_running_loop()
-    answer: asyncio.Future[Waypoint] = loop.create_future()
-
-    def work() -> None:
-        try:
-            waypoint = call()
-        except Exception as exc:  # noqa: BLE001 - a planner may fail in any way; the drone returns
-            settle = partial(_settle, answer, None, exc)
-        else:
-            settle = partial(_settle, answer, waypoint, None)
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-            loop.call_soon_threadsafe(settle)
-
-    threading.Thread(target=work, name="planner", daemon=True).start()
-    return await answer
-
-
-def _settle(
-    answer: asyncio.Future[Waypoint], waypoint: Waypoint | None, error: Exception | None
-) -> None:
-    if answer.cancelled():
-        return
-    if error is not None:
-        answer.set_exception(error)
-    elif waypoint is not None:
-        answer.set_result(waypoint)
 
 
 def _point(north_east_m: FloatArray) -> tuple[float, float]:

@@ -2,34 +2,79 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import torch
 
 from dronemon.belief import Belief, Matern32
 from dronemon.belief.compiled import is_ready as belief_is_compiled
+from dronemon.errors import PlannerError
 from dronemon.mission import Mission
 from dronemon.planner import Briefing, Planner, Snapshot
 from dronemon.roadmap import Roadmap
+from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.status import Interrupted, Interrupts
 from dronemon.types import FloatArray, Measurement, Pose
 from dronemon.vision import Detector
 from dronemon.viz import belief_grid_au
 from dronemon.world import Instance
 from dronemon.world.instance import named_stream
 
+_COMPILE_LIMIT_S = 60.0
 
-def rehearse(mission: Mission, planner: Planner) -> None:
+
+async def rehearse(mission: Mission, planner: Planner, interrupts: Interrupts) -> None:
     """Look, believe and plan once with throw-away data, so that nothing is loaded in flight.
 
     Compiled code is loaded at its first call, after the installation even compiled, and holds up
-    everything else meanwhile, the stream of setpoints too. Needs no vehicle.
+    everything else meanwhile, the stream of setpoints too. Needs no vehicle. Ends at once when a
+    person interrupts. Raises PlannerError.
     """
+    with contextlib.suppress(Interrupted):  # the flight, which comes next, tells and ends
+        async with interrupts.leaving():
+            await in_daemon_thread(partial(_rehearse, mission, planner))
+
+
+def _rehearse(mission: Mission, planner: Planner) -> None:
     torch.set_num_threads(1)
-    compiler = None if belief_is_compiled() else _compile_belief()
     num_targets = len(mission.targets)
     start_au, roadmap = draw_start_and_roadmap(mission)
+    # Known, or a planner may have nothing to plan yet and load nothing.
+    priors_au = np.tile(start_au, (num_targets, 1))
+    measurement = Measurement(
+        time_au=0.1,
+        agent_au=start_au,
+        seen=np.zeros(num_targets, dtype=np.bool_),
+        target_au=np.full((num_targets, 2), np.nan),
+    )
+    belief = make_belief(mission, priors_au)
+    belief.add(measurement)
+    with _belief_compiled_beside():
+        _look(mission)
+        with _blaming(planner):
+            planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
+    grid_au = belief_grid_au().reshape(-1, 2)
+    belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
+    snapshot = Snapshot(
+        time_au=0.1,
+        position_au=start_au,
+        node=0,
+        measurements=(measurement,),
+        belief=belief,
+        roadmap=roadmap,
+        remaining_au=mission.horizon_au,
+    )
+    with _blaming(planner):
+        planner.next_waypoint(snapshot)
+
+
+def _look(mission: Mission) -> None:
+    """Detect nothing in a picture of noise."""
     camera = mission.camera.model
     level = Pose(
         time_s=0.0,
@@ -39,41 +84,35 @@ def rehearse(mission: Mission, planner: Planner) -> None:
     )
     noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px, 3))
     make_detector(mission).detect(noise.astype(np.uint8), level, 0.0)
-    priors_au = np.tile(start_au, (num_targets, 1))
-    planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
-    if compiler is not None:
-        compiler.wait()
-    measurement = Measurement(
-        time_au=0.1,
-        agent_au=start_au,
-        seen=np.zeros(num_targets, dtype=np.bool_),
-        target_au=np.full((num_targets, 2), np.nan),
-    )
-    belief = make_belief(mission, priors_au)
-    belief.add(measurement)
-    grid_au = belief_grid_au().reshape(-1, 2)
-    belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
-    planner.next_waypoint(
-        Snapshot(
-            time_au=0.1,
-            position_au=start_au,
-            node=0,
-            measurements=(measurement,),
-            belief=belief,
-            roadmap=roadmap,
-            remaining_au=mission.horizon_au,
-        )
-    )
 
 
-def _compile_belief() -> subprocess.Popen[bytes]:
-    """Compile what beliefs need on a core of its own, while others are compiled here."""
-    return subprocess.Popen(
+@contextlib.contextmanager
+def _blaming(planner: Planner) -> Iterator[None]:
+    try:
+        yield
+    except Exception as exc:
+        raise PlannerError(f"planner '{planner.name}' failed in a rehearsal: {exc!r}") from exc
+
+
+@contextlib.contextmanager
+def _belief_compiled_beside() -> Iterator[None]:
+    """Have what beliefs need compiled on a core of its own, unless it is, until the body ends."""
+    if belief_is_compiled():
+        yield
+        return
+    compiler = subprocess.Popen(
         [sys.executable, "-P", "-m", "dronemon.belief"],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,  # if it fails, the same happens here and is told
+        stderr=subprocess.DEVNULL,  # if it fails, the same happens here next, and is told
     )
+    try:
+        yield
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            compiler.wait(_COMPILE_LIMIT_S)
+    finally:
+        compiler.kill()
+        compiler.wait()
 
 
 def draw_start_and_roadmap(mission: Mission) -> tuple[FloatArray, Roadmap]:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 Level = Literal["INFO", "WARN", "ERROR"]
 REPORT_INTERVAL_S = 1.0
 """Vehicle time between two lines of progress."""
+
+
+class Interrupted(Exception):
+    """A person stopped what can be left at once."""
 
 
 class Interrupts:
@@ -24,6 +30,23 @@ class Interrupts:
         self._count += 1
         if self.on_request is not None:
             self.on_request()
+
+    @contextlib.asynccontextmanager
+    async def leaving(self) -> AsyncIterator[None]:
+        """Leave the body at the first request. Raises Interrupted then."""
+        if self.return_home:
+            raise Interrupted
+        loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.timeout(None) as scope:
+                self.on_request = lambda: scope.reschedule(loop.time())
+                yield
+        except TimeoutError as exc:
+            if scope.expired():
+                raise Interrupted from exc
+            raise
+        finally:
+            self.on_request = None
 
     @property
     def return_home(self) -> bool:

@@ -170,7 +170,7 @@ def test_an_endless_mission_keeps_its_precision() -> None:
 
 
 def test_the_order_of_targets_does_not_matter() -> None:
-    network = make_network(SMALL)
+    network = make_network(VARIANTS["ours"])
     graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 4)], 11, 2)
     segment = Segment.of(graphs, frames, mask, lengths_au, nodes, tracks)
     order = torch.tensor([2, 0, 3, 1])
@@ -183,7 +183,7 @@ def test_the_order_of_targets_does_not_matter() -> None:
 
 
 def test_a_target_seen_for_the_first_time_joins_the_history() -> None:
-    network = make_network(SMALL)
+    network = make_network(VARIANTS["ours"])
     graphs, frames, _, lengths_au, nodes, tracks = make_episodes([(12, 3)], 6, 2)
     memory = History(network, graphs, 10)
     for t, known in enumerate([1, 1, 2, 2, 3, 3]):
@@ -198,7 +198,7 @@ def test_a_target_seen_for_the_first_time_joins_the_history() -> None:
 
 
 def test_later_decisions_do_not_change_earlier_ones() -> None:
-    network = make_network(SMALL)
+    network = make_network(VARIANTS["ours"])
     graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 2)], 23, 4)
     whole = network(Segment.of(graphs, frames, mask, lengths_au, nodes, tracks), 10)
     start = [x[:, :9] for x in (frames, lengths_au, nodes, tracks)]

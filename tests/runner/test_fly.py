@@ -79,7 +79,7 @@ class Rehearsal:
 
     async def _fly(self, options: tuple[str, ...]) -> FlightResult:
         file = load_mission(self.path)
-        rehearse(file.mission, self.planner)
+        await rehearse(file.mission, self.planner, self.interrupts)
         vehicle = self._start(self.path, "--speed-up", "20", *options)
         recorder = RunRecorder.create(
             mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out

@@ -136,6 +136,9 @@ def test_late_setpoints_are_awaited_in_real_time(monkeypatch: pytest.MonkeyPatch
     run(0.4)
     assert vehicle.commander.is_in_failsafe
     assert run(0.5) == pytest.approx(10.0, abs=0.3)
+    run(6.0)
+    assert not vehicle.commander.is_armed
+    assert run(0.5) == pytest.approx(10.0, abs=0.3)
 
 
 class Clock:
