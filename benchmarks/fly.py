@@ -118,7 +118,7 @@ def decision_ms(planner_name: str, seed: int) -> np.ndarray:
 def main() -> None:
     """Run both and print them."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--planner", default="search")
+    parser.add_argument("--planner", default="stamp")
     parser.add_argument("--horizon-au", type=float, default=1.5)
     parser.add_argument("--speed-up", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=10_000)

@@ -59,7 +59,7 @@ def test_bad_mission_is_exit_2_and_one_message(run, mission):
 
 
 def test_unknown_planner_names_the_line_and_the_others(run, mission):
-    text = mission("kind: search", "kind: lawnmover")
+    text = mission("kind: stamp", "kind: lawnmover")
     code, _, err = run("check", "--mission", text)
     assert code == 2
     assert "m.yaml:15: planner.kind" in err
@@ -67,7 +67,7 @@ def test_unknown_planner_names_the_line_and_the_others(run, mission):
 
 
 def test_missing_checkpoint(run, mission):
-    text = mission("kind: search", "kind: stamp\n  checkpoint: no.pt")
+    text = mission("kind: stamp", "kind: stamp\n  checkpoint: no.pt")
     code, _, err = run("check", "--mission", text)
     assert code == 2
     assert "m.yaml:16: planner.checkpoint" in err
@@ -75,7 +75,7 @@ def test_missing_checkpoint(run, mission):
 
 
 def test_a_bound_is_no_planner_to_fly(run, mission):
-    text = mission("kind: search", "kind: clairvoyant")
+    text = mission("kind: stamp", "kind: clairvoyant")
     code, _, err = run("fly", "--mission", text)
     assert code == 2
     assert "told the future" in err

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from simulated_vehicle import StartMockVehicle, free_udp_port
 
@@ -75,7 +76,7 @@ def _verify(flight: Flight) -> None:
 
 
 def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
-    options = ("--planner", "tsp", "--horizon-au", "2", "--speed-up", "10")
+    options = ("--horizon-au", "2", "--speed-up", "10")
     flight = fly("--mission", "missions/animals.yaml", *options)
     code, output = flight.finish()
     assert code == 0, output
@@ -95,6 +96,10 @@ def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
     assert [kind for kind in kinds if kind in story] == story
     assert "Unc" in output
     assert not any("failsafe" in event["text"].lower() for event in flight.lines("events"))
+    for decision in flight.lines("decisions"):  # of the shipped network
+        details = decision["details"]
+        best = details["neighbours"][int(np.argmax(details["logits"]))]
+        assert decision["node"] == best
     # The patrol ends at the horizon, also when that is just where a picture is due.
     assert summary["pictures_due"] - summary["pictures"] in {0, 1}
     _verify(flight)
