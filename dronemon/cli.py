@@ -284,7 +284,7 @@ def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameS
 
 
 def _as_flown(mission: Mission) -> str:
-    """The mission with every default and override, as a file that flies the same again."""
+    """The mission with every default and override, as a file that can be flown again."""
     return yaml.safe_dump(
         mission.model_dump(mode="json", exclude_none=True), sort_keys=False, allow_unicode=True
     )

@@ -1,4 +1,6 @@
-"""The learned planner: the paper's attention network chooses the next roadmap node, greedily.
+"""The learned planner: an attention network chooses the next roadmap node, greedily.
+
+The network is the paper's, with or without what is ours (`NetworkConfig`), as its checkpoint says.
 
 Source: paper, section IV. Between decisions it keeps its encoded windows, so that each decision
 encodes one.

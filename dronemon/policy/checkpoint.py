@@ -127,7 +127,8 @@ def find_checkpoint(name: str | None) -> Path:
     """
     shipped = _shipped_folder()
     wanted = name if name is not None else "stamp"
-    for path in (Path(wanted), shipped / wanted, shipped / f"{wanted}.pt"):
+    own = [Path(name)] if name is not None else []  # no file here stands in for the default
+    for path in (*own, shipped / wanted, shipped / f"{wanted}.pt"):
         if path.is_file():
             return path
     raise CheckpointMismatch(

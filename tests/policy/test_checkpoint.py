@@ -98,3 +98,19 @@ def test_a_missing_file_is_named() -> None:
         find_checkpoint("nowhere.pt")
     with pytest.raises(CheckpointMismatch, match="no such file"):
         load_checkpoint(Path("nowhere.pt"))
+
+
+def test_no_file_of_ones_own_stands_in_for_the_shipped_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("stamp").write_text("notes")
+    assert find_checkpoint(None).name == "stamp.pt"
+    assert find_checkpoint("stamp") == Path("stamp")
+
+
+def test_the_readme_tells_how_the_shipped_weights_were_made() -> None:
+    root = Path(__file__).parents[2]
+    command = load_checkpoint(find_checkpoint(None)).card.command
+    assert f"\n    {command}\n" in (root / "README.md").read_text()
+    assert f"- Command: `{command}`\n" in (root / "models" / "stamp.md").read_text()
