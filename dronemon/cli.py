@@ -297,7 +297,8 @@ def check(mission: MissionOption = "animals", follow: FollowOption = None) -> No
     _check_flight(file, follow)
     _create_planner(file)
     m = file.mission
-    decision_au = 0.5 / np.sqrt(m.roadmap.num_nodes)
+    # Mean distance to one of the k nearest of V random places.
+    leg_au = 2.0 / 3.0 * np.sqrt(m.roadmap.num_neighbours / (np.pi * m.roadmap.num_nodes))
     console.print(
         facts_table(
             f"{file.path}: can be flown",
@@ -310,7 +311,7 @@ def check(mission: MissionOption = "animals", follow: FollowOption = None) -> No
                 f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
                 "pictures": f"{m.horizon_au / 0.1:.0f}, one every {0.1 * m.area.side_m:g} m",
                 "roadmap": f"{m.roadmap.num_nodes} nodes; about "
-                f"{m.horizon_au / decision_au:.0f} decisions of a planner that keeps to it",
+                f"{m.horizon_au / leg_au:.0f} decisions of a planner that keeps to it",
                 "battery": f"{outbound_min(m):.1f} min until the return, of {usable_min(m):.1f} "
                 f"min usable ({m.flight.endurance_min:g} min, return at "
                 f"{m.flight.return_battery:.0%})",
