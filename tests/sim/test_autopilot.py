@@ -136,9 +136,18 @@ def test_late_setpoints_are_awaited_in_real_time(monkeypatch: pytest.MonkeyPatch
     run(0.4)
     assert vehicle.commander.is_in_failsafe
     assert run(0.5) == pytest.approx(10.0, abs=0.3)
-    run(6.0)
-    assert not vehicle.commander.is_armed
-    assert run(0.5) == pytest.approx(10.0, abs=0.3)
+
+
+def test_on_the_ground_nothing_is_awaited() -> None:
+    mission = make_mission()
+    simulation = Simulation(mission, World(mission))
+    vehicle = simulation.autopilot
+    fly(vehicle, 6.0)
+    vehicle.take_offboard(hover(vehicle))
+    assert vehicle.request_mode(Mode.OFFBOARD)
+    fly(vehicle, 0.5)
+    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert not vehicle.is_setpoint_late
 
 
 class Clock:
