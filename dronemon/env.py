@@ -208,12 +208,10 @@ class Env:
         is_start[starts] = True
         self._store.clear(is_start)
         self._tracks.clear(is_start)
-        is_placed = self._exists & (is_placed & is_start)[:, None]
-        self._tracks.add_prior(is_placed, self._targets_at(self._length_au))
-        self._store.add_prior(
-            is_placed,
-            self._targets_at(self._length_au).to(self._dtype),
-        )
+        known = self._exists & (is_placed & is_start)[:, None]
+        targets_au = self._targets_at(self._length_au)
+        self._tracks.add_prior(known, targets_au)
+        self._store.add_prior(known, targets_au.to(self._dtype))
 
     def _restart(self, episodes: Sequence[int]) -> None:
         """Begin the next instance of some episodes' seeds."""

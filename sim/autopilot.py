@@ -107,9 +107,12 @@ class Autopilot:
     @property
     def is_setpoint_late(self) -> bool:
         """Whether it flies an offboard setpoint that should have been followed by another."""
-        age_s = self.time_s - self._offboard_at_s
         is_flying_it = self.commander.is_armed and self.commander.mode is Mode.OFFBOARD
-        return is_flying_it and age_s > _SETPOINT_LATE_S
+        return is_flying_it and self._setpoint_age_s > _SETPOINT_LATE_S
+
+    @property
+    def _setpoint_age_s(self) -> float:
+        return self.time_s - self._offboard_at_s
 
     def take_offboard(self, setpoint: Setpoint) -> None:
         """Take a setpoint from outside; it counts as a sign of life of its sender."""
@@ -160,13 +163,12 @@ class Autopilot:
             self.battery_level = max(0.0, self.battery_level - STEP_S / self.endurance_s)
 
     def _update_commander(self) -> None:
-        signal_age_s = self.time_s - self._offboard_at_s
         self.commander.update(
             Situation(
                 time_s=self.time_s,
                 is_landed=self.is_landed,
                 is_ready=self.is_ready,
-                is_offboard_alive=signal_age_s <= self.parameters["COM_OF_LOSS_T"],
+                is_offboard_alive=self._setpoint_age_s <= self.parameters["COM_OF_LOSS_T"],
                 battery_level=self.battery_level,
                 gps_lost_s=self.estimate.gps_lost_s,
             )
