@@ -25,9 +25,9 @@ from torch import Tensor
 
 from dronemon.belief import fit
 from dronemon.env import Env, Observation, Setup
+from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.types import FloatArray
 
-FIRST_SEED = 10_000
 WARM_UP_DECISIONS = 64
 """Decisions each episode takes before anything is timed: windows are full then."""
 
@@ -120,7 +120,11 @@ def main() -> None:
     torch.set_num_threads(1)  # the beliefs' threads each work alone
     env = Env(horizon_au=arguments.horizon_au, max_decisions=2**62, num_threads=arguments.threads)
     setups = [
-        Setup(seed=FIRST_SEED + k, num_targets=arguments.targets, num_nodes=arguments.nodes)
+        Setup(
+            seed=FIRST_DEVELOPMENT_SEED + k,
+            num_targets=arguments.targets,
+            num_nodes=arguments.nodes,
+        )
         for k in range(arguments.batch)
     ]
     speed = play(env, setups, arguments.decisions, arguments.parts)

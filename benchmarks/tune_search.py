@@ -23,10 +23,10 @@ from dronemon.evaluation.episode import Conditions, fly
 from dronemon.planner import Planner
 from dronemon.planner.particles import MotionSettings
 from dronemon.planner.search import ClairvoyantSearchPlanner, SearchPlanner, SearchSettings
+from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.types import FloatArray
 from dronemon.world import Instance
 
-FIRST_SEED = 10_000
 CORNERS = "2:1/30,2:1/7,8:1/30,8:1/7"
 ABLATIONS = (
     "num_refined=0,num_drawn=350",
@@ -63,7 +63,7 @@ def scores(planner: Planner, cells: list[tuple[int, float]], num_instances: int)
     table = np.empty((len(cells), num_instances, 3))
     for c, (num_targets, speed_ratio) in enumerate(cells):
         for k in range(num_instances):
-            instance = Instance.draw(FIRST_SEED + k, num_targets)
+            instance = Instance.draw(FIRST_DEVELOPMENT_SEED + k, num_targets)
             got = fly(planner, instance, Conditions(speed_ratio=speed_ratio)).metrics().scores
             table[c, k] = got.unc, got.min_ob, got.jsd
     return table

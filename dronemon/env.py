@@ -16,11 +16,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dronemon.belief import Matern32, ObservationStore, Posterior, Prior, fit
+from dronemon.belief import Matern32, ObservationStore, Posterior, fit
 from dronemon.belief.metrics import area_std
-from dronemon.belief.store import WINDOW_TIME_SCALES
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.policy import Graphs, Tracks, belief_features
+from dronemon.problem import (
+    MEASUREMENT_INTERVAL_AU,
+    SENSOR_RADIUS_AU,
+    WINDOW_TIME_SCALES,
+    Prior,
+)
 from dronemon.roadmap import Roadmap, laplacian_encoding
 from dronemon.world import Instance
 

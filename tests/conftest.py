@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -20,6 +21,10 @@ from simulated_vehicle import (
     free_udp_port,
 )
 
+# Numba reads these once. Code for any processor of this architecture rounds alike on all of them,
+# so that decisions can be compared to the last digit.
+os.environ.setdefault("NUMBA_CPU_NAME", "generic")
+os.environ.setdefault("NUMBA_CPU_FEATURES", "")
 torch.set_num_threads(1)  # a second thread is ruinous for small matrices on a busy machine
 
 

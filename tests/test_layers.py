@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = {
     "errors": 0,
     "version": 0,
+    "problem": 0,
     "types": 0,
     "frames": 0,
     "clock": 0,
@@ -32,7 +33,7 @@ LAYERS = {
     "simulator": 5,
     "terminal": 5,
 }
-ORDER_IN_LAYER_0 = ("errors", "version", "types", "frames", "clock", "mission")
+ORDER_IN_LAYER_0 = ("errors", "version", "problem", "types", "frames", "clock", "mission")
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
 PLACES = {
     "mavsdk": {"vehicle"},

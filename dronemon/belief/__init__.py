@@ -2,7 +2,7 @@
 
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.kernel import Matern32
-from dronemon.belief.metrics import EpisodeMetrics, Prior, Scores, episode_metrics
+from dronemon.belief.metrics import EpisodeMetrics, Scores, episode_metrics
 from dronemon.belief.store import Belief, ObservationStore
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "Matern32",
     "ObservationStore",
     "Posterior",
-    "Prior",
     "Scores",
     "episode_metrics",
     "fit",

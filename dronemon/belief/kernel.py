@@ -13,13 +13,18 @@ import torch
 from torch import Tensor
 
 from dronemon.belief.compiled import fill
+from dronemon.problem import LENGTH_SCALE_AU, TIME_SCALE_AU
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Matern32:
     """Unit-variance Matérn-3/2 kernel with one length scale per axis (x, y, t)."""
 
-    length_scales_au: tuple[float, float, float] = (0.1, 0.1, 3.0)
+    length_scales_au: tuple[float, float, float] = (
+        LENGTH_SCALE_AU,
+        LENGTH_SCALE_AU,
+        TIME_SCALE_AU,
+    )
 
     def __call__(self, a: Tensor, b: Tensor) -> Tensor:
         """Covariance of two sets of points.

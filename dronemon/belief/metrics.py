@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -21,18 +20,19 @@ from torch import Tensor
 
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.kernel import Matern32
-from dronemon.belief.store import WINDOW_TIME_SCALES
-from dronemon.mission.schema import SENSOR_RADIUS_AU
+from dronemon.problem import (
+    LOST_STD,
+    PRESENCE_STD_AU,
+    SENSOR_RADIUS_AU,
+    WINDOW_TIME_SCALES,
+    Prior,
+)
 from dronemon.types import BoolArray, FloatArray
 
-Prior = Literal["full", "number", "none"]
-"""What is known at the start: positions and number of targets, their number alone, or nothing."""
 GRID_SIZE = 40
 """Points of the evaluation grid along each axis, both borders included."""
-LOST_STD = 0.9
 _AREA_SPAN = math.floor(2.0 * SENSOR_RADIUS_AU * (GRID_SIZE - 1)) + 1
 """Most grid points of a target area along one axis."""
-_BUMP_STD_AU = 0.1
 _JSD_FLOOR = 1e-8
 _INSTANTS_AT_ONCE = 16
 """Instants of an episode scored together; bounds the memory and stays in cache."""
@@ -85,7 +85,7 @@ def jensen_shannon(mean: Tensor, targets_au: Tensor) -> Tensor:
     """
     axis = torch.linspace(0.0, 1.0, GRID_SIZE, dtype=mean.dtype, device=mean.device)
     along = torch.exp(
-        -0.5 * ((axis - targets_au[..., None]) / _BUMP_STD_AU).square()
+        -0.5 * ((axis - targets_au[..., None]) / PRESENCE_STD_AU).square()
     )  # (..., 2, 40)
     bump = (along[..., 0, :, None] * along[..., 1, None, :]).flatten(-2)
     p, q = _normalised(bump), _normalised(mean.clamp_min(0.0))

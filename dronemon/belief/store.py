@@ -13,13 +13,9 @@ from torch import Tensor
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.kernel import Matern32
 from dronemon.errors import BeliefError
+from dronemon.problem import WINDOW_TIME_SCALES
 from dronemon.types import FloatArray, Measurement
 
-WINDOW_TIME_SCALES = 1.993
-"""Age, in temporal length scales, from which a measurement no longer counts.
-
-Source: paper, section III-C.
-"""
 DEFAULT_CAPACITY = 60
 """Measurements in a window of 1.993 · 3 au at one per 0.1 au."""
 

@@ -12,7 +12,6 @@ from typing import Annotated, TypeVar, cast
 import typer
 from rich.console import Console
 
-from dronemon.belief import Prior
 from dronemon.errors import OptionError
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import (
@@ -23,6 +22,7 @@ from dronemon.evaluation.options import (
     PlannerSpec,
     available_workers,
 )
+from dronemon.problem import Prior
 
 T = TypeVar("T")
 DEFAULT_INSTANCES = 16

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronemon.belief import Belief, EpisodeMetrics, Prior, episode_metrics
+from dronemon.belief import Belief, EpisodeMetrics, episode_metrics
 from dronemon.errors import PlannerError
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
 from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, Prior
 from dronemon.roadmap import Roadmap
 from dronemon.types import BoolArray, FloatArray, Measurement
 from dronemon.world import Instance, measure, sample_leg

@@ -16,11 +16,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from dronemon.belief import Belief
-from dronemon.belief.metrics import GRID_SIZE, LOST_STD
+from dronemon.belief.metrics import GRID_SIZE
 from dronemon.evaluation.episode import Episode
 from dronemon.evaluation.options import Cell
 from dronemon.evaluation.results import Result
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
+from dronemon.problem import LOST_STD, MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.types import FloatArray, Measurement
 
 LINE_STYLES = {"full": "-", "number": "--", "none": ":"}

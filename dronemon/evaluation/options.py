@@ -13,11 +13,11 @@ from functools import cached_property
 from pathlib import Path
 
 from dronemon import __version__
-from dronemon.belief import Prior
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
 from dronemon.planner import Planner, create_planner, has_weights
 from dronemon.policy import find_checkpoint
+from dronemon.problem import Prior
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
 TABLE1_TARGETS = (2, 4, 6, 8)

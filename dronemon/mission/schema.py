@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from dronemon.problem import LENGTH_SCALE_AU, SENSOR_RADIUS_AU, TIME_SCALE_AU
 from dronemon.types import CameraModel
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -19,10 +20,6 @@ Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
 APPEARANCES = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
 """Animals that the built-in detector tells apart."""
 Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
-SENSOR_RADIUS_AU = 0.1
-"""Radius of the circular sensor footprint. Source: paper, section III-B."""
-MEASUREMENT_INTERVAL_AU = 0.1
-"""Distance flown between two measurements. Source: paper, section IV-D."""
 
 
 class Section(BaseModel):
@@ -203,8 +200,12 @@ class Belief(Section):
     The search planners look ahead with the default kernel, whatever stands here.
     """
 
-    length_scale_au: float = Field(0.1, gt=0.0, le=1.0, description="Spatial length scale.")
-    time_scale_au: float = Field(3.0, gt=0.0, le=100.0, description="Temporal length scale.")
+    length_scale_au: float = Field(
+        LENGTH_SCALE_AU, gt=0.0, le=1.0, description="Spatial length scale."
+    )
+    time_scale_au: float = Field(
+        TIME_SCALE_AU, gt=0.0, le=100.0, description="Temporal length scale."
+    )
 
 
 class Roadmap(Section):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.types import FloatArray
 
 ARRIVED_AU = 1e-6

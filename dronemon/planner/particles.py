@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from dronemon.mission.schema import SENSOR_RADIUS_AU
+from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import FloatArray, IntArray, Measurement
 
 TURNS_PER_AU = 8.5

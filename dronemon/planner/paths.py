@@ -24,16 +24,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
+from dronemon.problem import (
+    LENGTH_SCALE_AU,
+    MEASUREMENT_INTERVAL_AU,
+    PRESENCE_STD_AU,
+    SENSOR_RADIUS_AU,
+    TIME_SCALE_AU,
+)
 from dronemon.types import FloatArray, IntArray
 
 Float32Array = NDArray[np.float32]
 Int32Array = NDArray[np.int32]
 
-LENGTH_SCALE_AU = 0.1
-TIME_SCALE_AU = 3.0
-PRESENCE_AU = 0.1
-"""Spread of a target's presence as the metric JSD counts it."""
 AGES_PER_STEP = 4
 NUM_AGES = 256
 OLDEST = 127
@@ -299,7 +301,7 @@ def score(path, scene, tables, probe, sight, squared):  # type: ignore[no-untype
                     gain += tables.known[min(sight[p] + passed, OLDEST)] - cleared
                     sight[p] = -passed
                 elif squared[p] < _NEAR:
-                    presence = math.exp(np.float32(-0.5 / PRESENCE_AU**2) * squared[p])
+                    presence = math.exp(np.float32(-0.5 / PRESENCE_STD_AU**2) * squared[p])
                     gain -= np.float32(2.0) * shape_worth * mean * presence
                     dx, dy = scene.x[k, p] - ax, scene.y[k, p] - ay
                     for q in range(4):

@@ -14,17 +14,15 @@ from functools import cache
 
 import numpy as np
 
-from dronemon.belief.store import WINDOW_TIME_SCALES
 from dronemon.errors import PlannerError
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
 from dronemon.planner import paths
 from dronemon.planner.motion import ARRIVED_AU, until_measurement_au
 from dronemon.planner.particles import MotionSettings, ParticleBelief
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_AU
 from dronemon.roadmap import Roadmap
 from dronemon.types import FloatArray, IntArray, Measurement
 
-_WINDOW_AU = WINDOW_TIME_SCALES * paths.TIME_SCALE_AU
 _NEXT_AU = 0.03
 """A measurement nearer than this is left to come as it may: no waypoint is as near as that."""
 
@@ -127,7 +125,7 @@ class _Evidence:
     def add(self, measurement: Measurement) -> None:
         """Take a measurement and forget those that leave the window."""
         self._measurements.append(measurement)
-        while measurement.time_au - self._measurements[0].time_au >= _WINDOW_AU:
+        while measurement.time_au - self._measurements[0].time_au >= WINDOW_AU:
             self._measurements.popleft()
         for index in np.flatnonzero(measurement.seen):
             self.seen_au[index] = measurement.time_au
@@ -151,7 +149,7 @@ class _Evidence:
                 values[seen, m] = 1.0
         counts = np.full(num_targets, num_points)
         for i, prior in enumerate(self._priors):
-            if prior and time_au < _WINDOW_AU:
+            if prior and time_au < WINDOW_AU:
                 points[i, num_points] = prior[0]
                 values[i, num_points] = 1.0
                 counts[i] += 1

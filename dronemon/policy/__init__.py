@@ -11,7 +11,6 @@ from dronemon.policy.checkpoint import (
     write_atomically,
 )
 from dronemon.policy.features import (
-    LENGTH_SCALE_AU,
     Graphs,
     Segment,
     belief_features,
@@ -30,7 +29,6 @@ from dronemon.policy.tracks import NUM_TRACK_FEATURES, Tracks
 
 __all__ = [
     "DEFAULT_HISTORY",
-    "LENGTH_SCALE_AU",
     "NUM_TRACK_FEATURES",
     "Card",
     "Checkpoint",

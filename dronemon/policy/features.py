@@ -21,12 +21,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from dronemon.policy.tracks import mirrored_tracks
-
-LENGTH_SCALE_AU = 1.993 * 3.0
-"""c_0, the length over which a measurement is forgotten; trajectory lengths are given in it.
-
-Source: paper, section IV-B.
-"""
+from dronemon.problem import WINDOW_AU
 
 
 def belief_features(
@@ -150,7 +145,7 @@ class Segment:
     """The first L decisions of B episodes, as the network sees them.
 
     frames: (B, L, V, N, 4) float32 belief features; target_mask: (B, N) bool; flown: (B, L)
-    float32, the agent's trajectory length at each decision in units of `LENGTH_SCALE_AU`; nodes:
+    float32, the agent's trajectory length at each decision in units of `WINDOW_AU`; nodes:
     (B, L) int64, the agent's node at each decision; tracks: (B, L, N, T) float32, see `Tracks`
     """
 
@@ -176,7 +171,7 @@ class Segment:
             graphs=graphs,
             frames=frames,
             target_mask=target_mask,
-            flown=(lengths_au / LENGTH_SCALE_AU).to(frames.dtype),
+            flown=(lengths_au / WINDOW_AU).to(frames.dtype),
             nodes=nodes,
             tracks=tracks,
         )

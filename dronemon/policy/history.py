@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dronemon.policy.features import LENGTH_SCALE_AU, Graphs, num_windows, pool_windows
+from dronemon.policy.features import Graphs, num_windows, pool_windows
 from dronemon.policy.network import PolicyNetwork, TemporalEncoder, TemporalMemory, Verdict
+from dronemon.problem import WINDOW_AU
 
 
 @dataclass(slots=True)
@@ -105,7 +106,7 @@ class History:
         phase.marks_au[:, slot] = mark_au
         phase.count += 1
         filled = min(phase.count, phase.keys.shape[-2])
-        since = (phase.marks_au[:, :filled] - length_au[:, None]) / LENGTH_SCALE_AU
+        since = (phase.marks_au[:, :filled] - length_au[:, None]) / WINDOW_AU
         marks = since.to(encoded.dtype)[:, None, None]
         aware: Tensor = encoder(
             encoded,
@@ -120,7 +121,7 @@ class History:
     ) -> Tensor:
         """Feed the newest window to its phase's LSTM."""
         since_au = mark_au - (phase.marks_au[:, 0] if phase.count else mark_au)
-        gaps = (since_au / LENGTH_SCALE_AU).to(encoded.dtype)[:, None, None, None]
+        gaps = (since_au / WINDOW_AU).to(encoded.dtype)[:, None, None, None]
         aware: Tensor
         aware, phase.state = memory(encoded, gaps.expand(encoded.shape[:-1]), phase.state)
         phase.marks_au[:, 0] = mark_au

@@ -265,7 +265,7 @@ class TemporalMemory(nn.Module):
         """Time-aware node features and the memory to go on with.
 
         encoded: (..., n, d), successive windows of a phase; gaps: (..., n), length flown between
-        each and the one before it, in units of `LENGTH_SCALE_AU` -> (..., n, d), state of two (1,
+        each and the one before it, in units of `WINDOW_AU` -> (..., n, d), state of two (1,
         ..., d)
         """
         features = encoded + self.length(gaps[..., None])

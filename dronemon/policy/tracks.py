@@ -11,7 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from dronemon.mission.schema import SENSOR_RADIUS_AU
+from dronemon.problem import SENSOR_RADIUS_AU
 
 NUM_TRACK_FEATURES = 11
 """T: three vectors, then five numbers."""

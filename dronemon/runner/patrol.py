@@ -22,8 +22,8 @@ from dronemon.errors import PlannerError, VehicleError
 from dronemon.frames import AreaFrame
 from dronemon.guidance import Carrot
 from dronemon.mission import Mission
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU
 from dronemon.planner import Planner, Snapshot
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.recorder import RunRecorder
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread

@@ -9,7 +9,7 @@ import torch
 
 from dronemon.belief import Matern32, ObservationStore, fit
 from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
-from dronemon.belief.store import WINDOW_TIME_SCALES
+from dronemon.problem import WINDOW_TIME_SCALES
 from dronemon.runner.flight import FlightResult
 from dronemon.runner.patrol import Tally
 from dronemon.types import FloatArray

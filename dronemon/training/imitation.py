@@ -34,11 +34,11 @@ from dronemon.policy import (
     save_checkpoint,
     write_atomically,
 )
+from dronemon.problem import FIRST_TRAINING_SEED
 from dronemon.training.gae import advantages
 from dronemon.training.lessons import Lesson, teach
 from dronemon.training.peers import Peers
 from dronemon.training.ppo import (
-    FIRST_SEED,
     Ppo,
     PpoConfig,
     Precision,
@@ -317,7 +317,7 @@ class _Job:
         )
         setups = [
             Setup(
-                seed=FIRST_SEED + int(rng.integers(2**40)),
+                seed=FIRST_TRAINING_SEED + int(rng.integers(2**40)),
                 num_targets=num_targets,
                 num_nodes=num_nodes,
                 speed_ratio=float(rng.uniform(*config.speed_ratio)),

@@ -17,12 +17,11 @@ from torch.optim.swa_utils import AveragedModel
 
 from dronemon.env import Env, Setup
 from dronemon.policy import PolicyNetwork, Segment, Verdict
+from dronemon.problem import FIRST_TRAINING_SEED
 from dronemon.training.gae import advantages
 from dronemon.training.peers import Peers
 from dronemon.training.rollout import Rollout, play, sampled
 
-FIRST_SEED = 1_000_000
-"""Training instances have seeds from here on; below are development and evaluation."""
 AVERAGE_DECAY = 0.998
 """Of the moving average of the weights, an update later."""
 Precision = Literal["float32", "bfloat16"]
@@ -145,7 +144,7 @@ class Ppo:
         )
         setups = [
             Setup(
-                seed=FIRST_SEED + self._seed + first + self._peers.rank * share + i,
+                seed=FIRST_TRAINING_SEED + self._seed + first + self._peers.rank * share + i,
                 num_targets=num_targets,
                 num_nodes=num_nodes,
                 speed_ratio=float(common.uniform(0.0, config.max_speed_ratio * risen)),

@@ -31,10 +31,11 @@ from dronemon.policy import (
     save_checkpoint,
     write_atomically,
 )
+from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.training.imitation import Expert, ExpertConfig
 from dronemon.training.peers import Peers, join_peers, own_device
 from dronemon.training.ppo import Ppo, PpoConfig
-from dronemon.training.validation import FIRST_SEED, validate
+from dronemon.training.validation import validate
 from dronemon.version import code_version
 
 METRICS: dict[str, str] = {
@@ -289,8 +290,8 @@ def _keep(
         commit=code_version(),
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
         seeds=(
-            f"root {plan.seed}; chosen on {FIRST_SEED} to"
-            f" {FIRST_SEED + plan.validation_episodes - 1}"
+            f"root {plan.seed}; chosen on {FIRST_DEVELOPMENT_SEED} to"
+            f" {FIRST_DEVELOPMENT_SEED + plan.validation_episodes - 1}"
         ),
         settings=json.loads(json.dumps(recipe.settings)),
         curve=tuple(run.curve or ()),

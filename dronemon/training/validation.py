@@ -8,10 +8,9 @@ import torch
 
 from dronemon.env import Env, Setup
 from dronemon.policy import DEFAULT_HISTORY, PolicyNetwork
+from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.training.rollout import greedy, play
 
-FIRST_SEED = 10_000
-"""Development instances; evaluation's are 0 to 99, training's far above."""
 CELLS = tuple(product((1 / 20, 1 / 10, 1 / 30, 1 / 7), (4, 2, 6, 8)))
 """Speed ratios and numbers of targets of the paper's Table I."""
 
@@ -26,7 +25,7 @@ def validate(
     """
     cells = islice((cell for _ in range(episodes) for cell in CELLS), episodes)
     setups = [
-        Setup(seed=FIRST_SEED + index, num_targets=num_targets, speed_ratio=speed_ratio)
+        Setup(seed=FIRST_DEVELOPMENT_SEED + index, num_targets=num_targets, speed_ratio=speed_ratio)
         for index, (speed_ratio, num_targets) in enumerate(cells)
     ]
     rollout = play(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dronemon.frames import AreaFrame, pixel_to_ground
-from dronemon.mission.schema import SENSOR_RADIUS_AU
+from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import CameraModel, Detection, Measurement, Pose
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronemon.mission.schema import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.types import BoolArray, FloatArray, Measurement
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from dronemon.belief import Prior
 from dronemon.errors import OptionError
 from dronemon.evaluation import Conditions, fly
 from dronemon.planner import (
@@ -25,6 +24,7 @@ from dronemon.planner import (
     planner_names,
 )
 from dronemon.policy import Card, NetworkConfig, PolicyNetwork, save_checkpoint
+from dronemon.problem import Prior
 from dronemon.roadmap import Roadmap
 from dronemon.world import Instance
 

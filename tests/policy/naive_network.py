@@ -13,7 +13,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from dronemon.policy import LENGTH_SCALE_AU, Graphs, PolicyNetwork, Projections, TemporalEncoder
+from dronemon.policy import Graphs, PolicyNetwork, Projections, TemporalEncoder
+from dronemon.problem import WINDOW_AU
 
 
 def naive_attention(maps: Projections, query: Tensor, source: Tensor, mask: Tensor) -> Tensor:
@@ -85,14 +86,14 @@ def naive_verdict(
         target_mask[None, None, None],
     )[:, :, 0]  # (W, V, d)
     if isinstance(network.temporal, TemporalEncoder):
-        ages = (lengths_au[-1] - marks_au) / LENGTH_SCALE_AU
+        ages = (lengths_au[-1] - marks_au) / WINDOW_AU
         timed = encoded + network.temporal.length(ages[:, None].to(encoded.dtype))[:, None]
         past = timed.transpose(0, 1)
         everything = torch.ones(1, len(windows), dtype=torch.bool)
         aware = naive_layer(network.temporal, past[:, :1], past, everything)[:, 0]
     else:
         oldest_first = marks_au.flip(0)
-        gaps = torch.diff(oldest_first, prepend=oldest_first[:1]) / LENGTH_SCALE_AU
+        gaps = torch.diff(oldest_first, prepend=oldest_first[:1]) / WINDOW_AU
         timed = encoded.flip(0) + network.temporal.length(gaps[:, None].to(encoded.dtype))[:, None]
         aware = network.temporal.cell(timed.transpose(0, 1))[0][:, -1]
     spatial = network.spatial_encoder

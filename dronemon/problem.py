@@ -1,0 +1,33 @@
+"""The problem's constants, one definition each. Source: paper, sections III and V.
+
+One au is the side of the paper's square, which is ten sensor radii.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+SENSOR_RADIUS_AU = 0.1
+"""Radius of the circular sensor footprint: a target strictly nearer is seen. Section III-B."""
+MEASUREMENT_INTERVAL_AU = 0.1
+"""Distance flown between two measurements. Section IV-D."""
+LENGTH_SCALE_AU = 0.1
+"""Spatial length scale of the kernel. Section III-C."""
+TIME_SCALE_AU = 3.0
+"""Temporal length scale of the kernel. Section III-C."""
+WINDOW_TIME_SCALES = 1.993
+"""Age, in temporal length scales, from which a measurement no longer counts. Section III-C."""
+WINDOW_AU = WINDOW_TIME_SCALES * TIME_SCALE_AU
+"""That age with the default kernel."""
+PRESENCE_STD_AU = 0.1
+"""Spread of the bump that stands for a target's true presence in JSD. Section V-A."""
+LOST_STD = 0.9
+"""A target counts as lost where its mean standard deviation exceeds this. Section V-A."""
+
+Prior = Literal["full", "number", "none"]
+"""What is known at the start: positions and number of targets, their number alone, or nothing."""
+
+FIRST_DEVELOPMENT_SEED = 10_000
+"""Seeds from here on are for choosing and tuning; 0 to 99 are for reporting alone."""
+FIRST_TRAINING_SEED = 1_000_000
+"""Seeds from here on are for training."""
