@@ -14,7 +14,7 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # has no types
 
-from dronemon.evaluation.episode import Conditions, fly
+from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.planner.search import RoadmapSearchPlanner, SearchPlanner
 from dronemon.roadmap import Roadmap
@@ -53,7 +53,7 @@ def main() -> None:
         for speed_ratio in (1 / 30, 1 / 20, 1 / 7):
             timed = Timed(planner)
             with threadpool_limits(1):
-                fly(
+                fly_episode(
                     timed,
                     Instance.draw(SEED, arguments.targets),
                     Conditions(speed_ratio=speed_ratio, horizon_au=arguments.length),

@@ -19,7 +19,7 @@ from dataclasses import fields, replace
 import numpy as np
 import torch
 
-from dronemon.evaluation.episode import Conditions, fly
+from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import Planner
 from dronemon.planner.particles import MotionSettings
 from dronemon.planner.search import ClairvoyantSearchPlanner, SearchPlanner, SearchSettings
@@ -64,7 +64,9 @@ def scores(planner: Planner, cells: list[tuple[int, float]], num_instances: int)
     for c, (num_targets, speed_ratio) in enumerate(cells):
         for k in range(num_instances):
             instance = Instance.draw(FIRST_DEVELOPMENT_SEED + k, num_targets)
-            got = fly(planner, instance, Conditions(speed_ratio=speed_ratio)).metrics().scores
+            got = (
+                fly_episode(planner, instance, Conditions(speed_ratio=speed_ratio)).metrics().scores
+            )
             table[c, k] = got.unc, got.min_ob, got.jsd
     return table
 

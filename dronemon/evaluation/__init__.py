@@ -1,6 +1,6 @@
 """Measuring planners: episodes, tables and figures."""
 
-from dronemon.evaluation.episode import Conditions, Episode, fly
+from dronemon.evaluation.episode import Conditions, Episode, fly_episode
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import Cell, Options, PlannerSpec
 from dronemon.evaluation.results import Result
@@ -13,5 +13,5 @@ __all__ = [
     "PlannerSpec",
     "Result",
     "evaluate",
-    "fly",
+    "fly_episode",
 ]

@@ -79,7 +79,7 @@ def measurement_times_au(count: int) -> FloatArray:
     return np.arange(count + 1, dtype=np.float64) * MEASUREMENT_INTERVAL_AU
 
 
-def fly(planner: Planner, instance: Instance, conditions: Conditions) -> Episode:
+def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) -> Episode:
     """Fly one episode.
 
     A clairvoyant planner is told of all targets, whatever the prior; its belief is scored under

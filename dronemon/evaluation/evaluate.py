@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dronemon.errors import RecordError
-from dronemon.evaluation.episode import Episode, fly
+from dronemon.evaluation.episode import Episode, fly_episode
 from dronemon.evaluation.options import Key, Options, PlannerSpec, Task
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, ResultsFile
@@ -72,7 +72,7 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
 def fly_task(task: Task) -> Episode:
     """Fly one episode with the planner that this process keeps for it."""
     instance = Instance.draw(task.seed, task.cell.num_targets)
-    return fly(_planner(task.planner, task.settings), instance, task.conditions)
+    return fly_episode(_planner(task.planner, task.settings), instance, task.conditions)
 
 
 def _draw(results: Sequence[Result], options: Options) -> None:

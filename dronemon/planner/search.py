@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from dronemon.errors import PlannerError
-from dronemon.planner import paths
+from dronemon.planner import moving, paths, scoring
 from dronemon.planner.motion import ARRIVED_AU, until_measurement_au
 from dronemon.planner.particles import MotionSettings, ParticleBelief
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
@@ -92,9 +92,9 @@ class SearchSettings:
         """Measurements to look ahead over, for targets of a speed."""
         return min(self.num_steps, math.ceil(self.walk_au / speed / MEASUREMENT_INTERVAL_AU))
 
-    def tables(self, speed: float) -> paths.Tables:
+    def tables(self, speed: float) -> scoring.Tables:
         """Look-up tables of the score for targets of a speed."""
-        return paths.make_tables(
+        return scoring.make_tables(
             speed=speed,
             num_steps=self.horizon(speed),
             discount=self.discount,
@@ -181,9 +181,9 @@ class SearchPlanner:
         self._goals = np.zeros((paths.MAX_GOALS, 2))
         self._num_goals = 0
 
-    def _make_ground(self, roadmap: Roadmap) -> paths.Ground:
+    def _make_ground(self, roadmap: Roadmap) -> moving.Ground:
         """Free flight: no nodes."""
-        return paths.Ground(
+        return moving.Ground(
             nodes=np.empty((0, 2)),
             next_hop=np.empty((0, 0), dtype=np.int64),
             nearest=np.empty((0, 0), dtype=np.int64),
@@ -198,24 +198,27 @@ class SearchPlanner:
             -1,
             self._evidence.due_au(snapshot.time_au),
         )
-        gain, path, goals, count, _, _ = self._search(
-            snapshot.time_au, start, np.empty(0, dtype=np.int64)
-        )
-        if not _is_found(gain) or math.dist(path[0], snapshot.position_au) <= ARRIVED_AU:
+        found = self._search(snapshot.time_au, start, np.empty(0, dtype=np.int64))
+        path_au = found.path_au
+        if not _is_found(found.gain) or math.dist(path_au[0], snapshot.position_au) <= ARRIVED_AU:
             raise PlannerError(f"search found no path from {snapshot.position_au}; report this")
-        self._keep(goals, count, path[0])
+        self._keep(found, path_au[0])
         return Waypoint(
-            position_au=path[0],
-            details={"gain": gain, "speed": self._belief.speed.mean, "path": path.tolist()},
+            position_au=path_au[0],
+            details={
+                "gain": found.gain,
+                "speed": self._belief.speed.mean,
+                "path": path_au.tolist(),
+            },
         )
 
-    def _keep(self, goals: FloatArray, count: int, reached_au: FloatArray) -> None:
+    def _keep(self, found: paths.Found, reached_au: FloatArray) -> None:
         """Remember the best path's goals, less those that the next waypoint reaches."""
-        done = 0
-        while done < count and math.dist(goals[done], reached_au) < 0.05:
+        done, count = 0, found.num_goals
+        while done < count and math.dist(found.goals_au[done], reached_au) < 0.05:
             done += 1
         self._num_goals = count - done
-        self._goals[: self._num_goals] = goals[done:count]
+        self._goals[: self._num_goals] = found.goals_au[done:count]
 
     def _learn(self, measurements: tuple[Measurement, ...], time_au: float) -> None:
         for measurement in measurements:
@@ -240,18 +243,16 @@ class SearchPlanner:
         )
         return now, later, speed
 
-    def _search(
-        self, time_au: float, start: paths.Start, options: IntArray
-    ) -> tuple[float, FloatArray, FloatArray, int, int, FloatArray]:
+    def _search(self, time_au: float, start: paths.Start, options: IntArray) -> paths.Found:
         now, later, speed = self._foreseen(time_au)
         num_targets, num_each = now.shape[:2]
         tables = self.settings.tables(speed)
         first = np.arange(num_targets + 1) * num_each
         points, values, counts = self._evidence.points(time_au, num_targets)
-        mean = np.empty((num_targets, paths.MEAN_CELLS, paths.MEAN_CELLS), dtype=np.float32)
-        paths.mean_fields(points, values, counts, time_au, mean)
+        mean = np.empty((num_targets, scoring.MEAN_CELLS, scoring.MEAN_CELLS), dtype=np.float32)
+        scoring.mean_fields(points, values, counts, time_au, mean)
         probe_age = np.empty((num_targets * num_each, 4), dtype=np.int32)
-        paths.probe_ages(
+        scoring.probe_ages(
             np.ascontiguousarray(now.reshape(-1, 2)),
             first,
             points,
@@ -264,20 +265,20 @@ class SearchPlanner:
         weight = np.full(num_targets, 1.0 / num_each)
         weight[np.isinf(since)] *= self.settings.unfound_weight
         flat = later.astype(np.float32).reshape(len(later), -1, 2)
-        scene = paths.Scene(
+        forecast = scoring.Forecast(
             x=np.ascontiguousarray(flat[..., 0]),
             y=np.ascontiguousarray(flat[..., 1]),
             weight=np.repeat(weight, num_each).astype(np.float32),
             probe_age=probe_age,
-            sight_age=np.repeat(np.rint(since.clip(0, paths.OLDEST)), num_each).astype(np.int32),
+            sight_age=np.repeat(np.rint(since.clip(0, scoring.OLDEST)), num_each).astype(np.int32),
             first=first,
             mean=mean,
         )
-        found: tuple[float, FloatArray, FloatArray, int, int, FloatArray] = paths.search(
+        found: paths.Found = paths.search(
             start,
             self._ground,
             options,
-            scene,
+            forecast,
             tables,
             self.settings.effort,
             self._goals,
@@ -292,14 +293,14 @@ class RoadmapSearchPlanner(SearchPlanner):
 
     name = "search-roadmap"
 
-    def _make_ground(self, roadmap: Roadmap) -> paths.Ground:
+    def _make_ground(self, roadmap: Roadmap) -> moving.Ground:
         """Shortest paths, and the node nearest to each cell of the square."""
-        centres = (np.arange(paths.NEAREST_CELLS) + 0.5) / paths.NEAREST_CELLS
+        centres = (np.arange(moving.NEAREST_CELLS) + 0.5) / moving.NEAREST_CELLS
         offset: FloatArray = np.stack(np.meshgrid(centres, centres, indexing="ij"), axis=-1)[
             :, :, None
         ]
         distance = np.linalg.norm(offset - roadmap.nodes_au, axis=-1)
-        return paths.Ground(
+        return moving.Ground(
             nodes=np.ascontiguousarray(roadmap.nodes_au),
             next_hop=roadmap.next_hop,
             nearest=distance.argmin(axis=-1),
@@ -320,17 +321,18 @@ class RoadmapSearchPlanner(SearchPlanner):
             node,
             until_measurement_au(snapshot.time_au),
         )
-        gain, _, goals, count, hop, gains = self._search(snapshot.time_au, start, neighbours)
-        if not _is_found(gain):
+        found = self._search(snapshot.time_au, start, neighbours)
+        if not _is_found(found.gain):
             raise PlannerError(f"search found no way from node {node}; report this")
-        self._keep(goals, count, nodes_au[hop])
+        hop_au = nodes_au[found.hop]
+        self._keep(found, hop_au)
         return Waypoint(
-            position_au=nodes_au[hop],
-            node=hop,
+            position_au=hop_au,
+            node=found.hop,
             details={
-                "gain": gain,
+                "gain": found.gain,
                 "neighbours": neighbours.tolist(),
-                "neighbour_gains": gains.tolist(),
+                "neighbour_gains": found.option_gains.tolist(),
             },
         )
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from dronemon.errors import OptionError
-from dronemon.evaluation import Conditions, fly
+from dronemon.evaluation import Conditions, fly_episode
 from dronemon.planner import (
     Briefing,
     Clairvoyant,
@@ -99,7 +99,7 @@ def test_planner_flies_any_number_of_targets_under_any_prior(
     make: Make, num_targets: int, prior: Prior
 ) -> None:
     planner = Recording(make())
-    episode = fly(planner, Instance.draw(10_004, num_targets), conditions(prior))
+    episode = fly_episode(planner, Instance.draw(10_004, num_targets), conditions(prior))
     steps_au = np.linalg.norm(np.diff(episode.agent_au, axis=0), axis=1)
     assert len(steps_au) == 7
     assert steps_au.max() <= 0.1 + 1e-9
@@ -113,10 +113,10 @@ def test_planner_flies_any_number_of_targets_under_any_prior(
 def test_planner_repeats_itself_and_remembers_no_earlier_mission(make: Make) -> None:
     instance, other = Instance.draw(10_001, 3), Instance.draw(10_002, 2)
     planner = make()
-    first = fly(planner, instance, conditions())
-    fly(planner, other, conditions("none"))
-    again = fly(planner, instance, conditions())
-    fresh = fly(make(), instance, conditions())
+    first = fly_episode(planner, instance, conditions())
+    fly_episode(planner, other, conditions("none"))
+    again = fly_episode(planner, instance, conditions())
+    fresh = fly_episode(make(), instance, conditions())
     np.testing.assert_array_equal(first.agent_au, again.agent_au)
     np.testing.assert_array_equal(first.agent_au, fresh.agent_au)
 

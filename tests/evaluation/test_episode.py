@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dronemon.errors import PlannerError
-from dronemon.evaluation import Conditions, fly
+from dronemon.evaluation import Conditions, fly_episode
 from dronemon.planner import Briefing, Snapshot, Waypoint, create_planner
 from dronemon.roadmap import Roadmap
 from dronemon.types import FloatArray
@@ -39,7 +39,7 @@ def walkers(*starts_au: tuple[float, float]) -> Instance:
 
 def test_agent_measures_every_tenth_also_round_corners_and_targets_move_meanwhile() -> None:
     route = Route((0.35, 0.1), (0.35, 0.35), (0.1, 0.1))
-    episode = fly(route, walkers((0.4, 0.15)), Conditions(speed_ratio=0.1, horizon_au=0.5))
+    episode = fly_episode(route, walkers((0.4, 0.15)), Conditions(speed_ratio=0.1, horizon_au=0.5))
     np.testing.assert_allclose(
         episode.agent_au,
         [[0.1, 0.1], [0.2, 0.1], [0.3, 0.1], [0.35, 0.15], [0.35, 0.25], [0.35, 0.35]],
@@ -52,7 +52,7 @@ def test_agent_measures_every_tenth_also_round_corners_and_targets_move_meanwhil
 
 def test_planner_is_told_everything_once_with_the_time_of_its_arrival() -> None:
     route = Route((0.35, 0.1), (0.35, 0.35), (0.1, 0.35))
-    fly(route, walkers((0.4, 0.15)), Conditions(speed_ratio=0.1, horizon_au=0.7))
+    fly_episode(route, walkers((0.4, 0.15)), Conditions(speed_ratio=0.1, horizon_au=0.7))
     first, second, third = route.snapshots
     assert [s.time_au for s in route.snapshots] == pytest.approx([0.0, 0.25, 0.5])
     assert [s.remaining_au for s in route.snapshots] == pytest.approx([0.7, 0.45, 0.2])
@@ -68,7 +68,7 @@ def test_planner_is_told_everything_once_with_the_time_of_its_arrival() -> None:
 def test_briefing_tells_what_the_prior_allows(prior: str, known: int) -> None:
     route = Route((0.9, 0.1))
     instance = walkers((0.4, 0.15), (0.2, 0.8))
-    fly(route, instance, Conditions(speed_ratio=0.0, prior=prior, horizon_au=0.5))  # type: ignore[arg-type]  # parametrised
+    fly_episode(route, instance, Conditions(speed_ratio=0.0, prior=prior, horizon_au=0.5))  # type: ignore[arg-type]  # parametrised
     assert route.briefing.num_targets == known
     assert route.briefing.priors_au.shape == (known, 2)
     assert np.isfinite(route.briefing.priors_au).all() == (prior != "number")
@@ -78,7 +78,7 @@ def test_targets_join_in_the_order_of_their_first_sight() -> None:
     route = Route((0.5, 0.1), (0.5, 0.5), (0.9, 0.5))
     instance = walkers((0.9, 0.9), (0.5, 0.45), (0.35, 0.1))
     conditions = Conditions(speed_ratio=0.0, prior="none", horizon_au=0.9)
-    episode = fly(route, instance, conditions)
+    episode = fly_episode(route, instance, conditions)
     lengths = [len(m.seen) for s in route.snapshots for m in s.measurements]
     assert lengths == [0, 1, 1, 1, 1, 1, 2, 2]
     last = route.snapshots[-1].measurements[-1]
@@ -93,7 +93,7 @@ def test_targets_join_in_the_order_of_their_first_sight() -> None:
 
 def test_metrics_of_a_target_in_view_are_good_and_of_a_lost_one_bad() -> None:
     route = Route((0.15, 0.1), (0.1, 0.1))
-    episode = fly(
+    episode = fly_episode(
         route, walkers((0.1, 0.1), (0.8, 0.8)), Conditions(speed_ratio=0.0, horizon_au=7.0)
     )
     metrics = episode.metrics()
@@ -117,13 +117,13 @@ def test_waypoints_that_cannot_be_flown_to_are_the_planners_error(
     point_au: tuple[float, float], complaint: str
 ) -> None:
     with pytest.raises(PlannerError, match=f"planner route, seed 0, at 0.000 au.*{complaint}"):
-        fly(Route(point_au), walkers((0.5, 0.5)), Conditions(speed_ratio=0.1))
+        fly_episode(Route(point_au), walkers((0.5, 0.5)), Conditions(speed_ratio=0.1))
 
 
 def test_clairvoyant_planner_meets_targets_it_was_never_told_of() -> None:
     instance = Instance.draw(10_005, 3)
     conditions = Conditions(speed_ratio=0.1, prior="none", horizon_au=6.0)
-    seen = fly(create_planner("clairvoyant"), instance, conditions).observed
+    seen = fly_episode(create_planner("clairvoyant"), instance, conditions).observed
     assert np.all(seen.sum(axis=0) >= 3)
 
 
@@ -131,7 +131,7 @@ def test_carrying_headings_on_finds_targets_that_the_plain_loop_loses() -> None:
     instance = walkers((0.1, 0.9), (0.55, 0.1))
     conditions = Conditions(speed_ratio=0.12, horizon_au=3.2)
     plain, carried = (
-        fly(create_planner(kind), instance, conditions).observed.sum()
+        fly_episode(create_planner(kind), instance, conditions).observed.sum()
         for kind in ("tsp", "tsp-heading")
     )
     assert carried > plain

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import torch
 
-from dronemon.evaluation.episode import Conditions, fly
+from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import create_planner
 from dronemon.world import Instance
 
@@ -46,7 +46,7 @@ def waypoints(planner_name: str, seed: int, prior: str) -> list[list[float]]:
 
     planner.next_waypoint = noted
     conditions = Conditions(speed_ratio=0.1, prior=prior, horizon_au=10.0)
-    fly(planner, Instance.draw(seed, NUM_TARGETS), conditions)
+    fly_episode(planner, Instance.draw(seed, NUM_TARGETS), conditions)
     return chosen
 
 

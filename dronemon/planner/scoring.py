@@ -1,0 +1,283 @@
+"""What a path is worth: the compiled score of the search, and what it is scored in.
+
+A path's worth is the uncertainty that it takes away from the targets' surroundings, as the metric
+Unc counts it:
+
+  * Around every particle lie four probes. The state of a probe is the age of the sighting in its
+    very place that would leave it as uncertain (its *equivalent age*), in quarters of an interval.
+    Age grows as time passes; a measurement near the probe makes it younger.
+  * `worth[age]` is the certainty that a probe of that age will still enjoy, summed over the future;
+    a measurement gains the difference.
+  * A sighting also gains by what it tells of the place. A miss sets the belief's mean to 0 where it
+    is taken: that gains where the mean is false, as on the trail of old sightings behind a target,
+    and costs near the target, where it bends the peak (the metric JSD). With mean mu there, and
+    p the presence that the target's distance would give, squared error falls by mu (mu - 2 p).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dronemon.problem import (
+    LENGTH_SCALE_AU,
+    MEASUREMENT_INTERVAL_AU,
+    PRESENCE_STD_AU,
+    SENSOR_RADIUS_AU,
+    TIME_SCALE_AU,
+)
+from dronemon.types import FloatArray, IntArray
+
+Float32Array = NDArray[np.float32]
+Int32Array = NDArray[np.int32]
+
+AGES_PER_STEP = 4
+NUM_AGES = 256
+OLDEST = 127
+"""Greatest age, in steps, of a sighting."""
+_REACH_AU = 0.25
+"""A measurement farther from a probe tells nothing about it."""
+_REACH_BINS = 512
+_NEAR = 0.05
+"""Squared distance, particle to agent, beyond which its probes are left alone."""
+MEAN_CELLS = 48
+"""Cells along each axis of the fields of posterior means."""
+_MEAN_REACH_AU = 0.7
+"""Data farther from a cell, age counted, do not show in its mean: the kernel is below 1e-4."""
+_MEAN_BINS = 8192
+_MEAN_JITTER = 1e-6
+
+
+def _matern(distance: FloatArray) -> FloatArray:
+    scaled = math.sqrt(3.0) * distance
+    kernel: FloatArray = (1.0 + scaled) * np.exp(-scaled)
+    return kernel
+
+
+_MATERN_AT = _matern(
+    np.sqrt((np.arange(_MEAN_BINS) + 0.5) / _MEAN_BINS) * _MEAN_REACH_AU / LENGTH_SCALE_AU
+)
+"""The kernel by squared distance, in bins to `_MEAN_REACH_AU`."""
+
+
+class Tables(NamedTuple):
+    """Look-up tables of the score; all follow from the kernel, the settings and the speed.
+
+    age_at: (B,) equivalent age of a probe measured at a squared distance (B bins to 0.25 au);
+    seen_age: of the probes of a target just seen; worth: (NUM_AGES,); known: (OLDEST + 1,) gain of
+    a sighting by the age of the last; shape_worth: of squared error of the mean; discount: (H,)
+    """
+
+    age_at: Int32Array
+    seen_age: int
+    worth: Float32Array
+    known: Float32Array
+    shape_worth: float
+    discount: Float32Array
+    probe_au: float
+
+
+class Forecast(NamedTuple):
+    """What a path is scored in. P particles, those of a target beside each other.
+
+    x, y: (H, P) at each of the next measurements; weight: (P,); probe_age: (P, 4) and
+    sight_age: (P,) now; first: (N + 1,) each target's first particle; mean: (N, C, C) posterior
+    mean now of each target's presence, in the cells of the square
+    """
+
+    x: Float32Array
+    y: Float32Array
+    weight: Float32Array
+    probe_age: Int32Array
+    sight_age: Int32Array
+    first: IntArray
+    mean: Float32Array
+
+
+def make_tables(
+    *,
+    speed: float,
+    num_steps: int,
+    discount: float,
+    fading: float,
+    drift: float,
+    probe_au: float,
+    sight_gain: float,
+    forget_steps: float,
+    shape_worth: float,
+) -> Tables:
+    """Build the tables for a believed speed of the targets; names as in `SearchSettings`."""
+    age_au = np.arange(NUM_AGES) / AGES_PER_STEP * MEASUREMENT_INTERVAL_AU
+    correlation = _matern(
+        np.hypot(drift * speed * age_au / LENGTH_SCALE_AU, age_au / TIME_SCALE_AU)
+    )
+    certainty = 1.0 - np.sqrt(1.0 - correlation**2)
+    certainty[-AGES_PER_STEP:] = 0.0
+    worth = certainty.copy()
+    for age in range(NUM_AGES - AGES_PER_STEP - 1, -1, -1):
+        worth[age] += fading * worth[age + AGES_PER_STEP]
+    distance_au = np.sqrt((np.arange(_REACH_BINS) + 0.5) / _REACH_BINS) * _REACH_AU
+    nearest_age = np.searchsorted(-correlation, -_matern(distance_au / LENGTH_SCALE_AU))
+    age_at: Int32Array = np.minimum(nearest_age, NUM_AGES - 1).astype(np.int32)
+    return Tables(
+        age_at=age_at,
+        seen_age=int(age_at[int((probe_au / _REACH_AU) ** 2 * _REACH_BINS)]),
+        worth=worth.astype(np.float32),
+        known=(
+            sight_gain * forget_steps * (1.0 - np.exp(-np.arange(OLDEST + 1) / forget_steps))
+        ).astype(np.float32),
+        # A fast target soon leaves the shape behind.
+        shape_worth=shape_worth * 2.0 / (1.0 + speed * TIME_SCALE_AU / LENGTH_SCALE_AU),
+        discount=(discount ** np.arange(num_steps)).astype(np.float32),
+        probe_au=probe_au,
+    )
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def probe_ages(particles, first, points, counts, time_au, tables, out):  # type: ignore[no-untyped-def]
+    """Equivalent age now of every probe, from what was measured in the belief's window.
+
+    particles: (P, 2); points: (N, n, 3) x, y, time of each target's data, the first `counts` of
+    them -> out (P, 4)
+    """
+    rho = tables.probe_au
+    scale = _REACH_BINS / _REACH_AU**2
+    squared_speed = (LENGTH_SCALE_AU / TIME_SCALE_AU) ** 2
+    for i in range(counts.shape[0]):
+        for p in range(first[i], first[i + 1]):
+            for q in range(4):
+                x = particles[p, 0] + (rho if q == 0 else (-rho if q == 1 else 0.0))
+                y = particles[p, 1] + (rho if q == 2 else (-rho if q == 3 else 0.0))
+                nearest = 1e9
+                for m in range(counts[i]):
+                    dt = time_au - points[i, m, 2]
+                    distance = (
+                        (x - points[i, m, 0]) ** 2
+                        + (y - points[i, m, 1]) ** 2
+                        + dt * dt * squared_speed
+                    )
+                    nearest = min(nearest, distance)
+                bin_ = int(nearest * scale)
+                out[p, q] = tables.age_at[bin_] if bin_ < _REACH_BINS else NUM_AGES - 1
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _solve(matrix, vector):  # type: ignore[no-untyped-def]
+    """Solve for a vector in place, by Cholesky; compiled much sooner than numpy's solver."""
+    n = vector.shape[0]
+    for a in range(n):
+        for b in range(a + 1):
+            rest = matrix[a, b]
+            for k in range(b):
+                rest -= matrix[a, k] * matrix[b, k]
+            matrix[a, b] = math.sqrt(rest) if a == b else rest / matrix[b, b]
+        for k in range(a):
+            vector[a] -= matrix[a, k] * vector[k]
+        vector[a] /= matrix[a, a]
+    for a in range(n - 1, -1, -1):
+        for k in range(a + 1, n):
+            vector[a] -= matrix[k, a] * vector[k]
+        vector[a] /= matrix[a, a]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untyped-def]
+    """Posterior mean now of each target's presence, cell by cell.
+
+    points: (N, n, 3) x, y, time of each target's data, the first `counts` of them; values: (N, n)
+    -> out (N, C, C)
+    """
+    size = out.shape[1]
+    squared_speed = (LENGTH_SCALE_AU / TIME_SCALE_AU) ** 2
+    scale = _MEAN_BINS / _MEAN_REACH_AU**2
+    for i in range(counts.shape[0]):
+        out[i] = 0.0
+        n = counts[i]
+        covariance = np.empty((n, n))
+        for a in range(n):
+            for b in range(a):
+                dt = points[i, a, 2] - points[i, b, 2]
+                distance = math.sqrt(
+                    (points[i, a, 0] - points[i, b, 0]) ** 2
+                    + (points[i, a, 1] - points[i, b, 1]) ** 2
+                    + dt * dt * squared_speed
+                )
+                scaled = math.sqrt(3.0) * distance / LENGTH_SCALE_AU
+                covariance[a, b] = covariance[b, a] = (1.0 + scaled) * math.exp(-scaled)
+            covariance[a, a] = 1.0 + _MEAN_JITTER
+        weight = values[i, :n].copy()
+        _solve(covariance, weight)
+        for a in range(n):
+            dt = time_au - points[i, a, 2]
+            for c in range(size):
+                dx = (c + 0.5) / size - points[i, a, 0]
+                across = dx * dx + dt * dt * squared_speed
+                for d in range(size):
+                    dy = (d + 0.5) / size - points[i, a, 1]
+                    distance = across + dy * dy
+                    if distance < _MEAN_REACH_AU**2:
+                        bin_ = min(int(distance * scale), _MEAN_BINS - 1)
+                        out[i, c, d] += weight[a] * _MATERN_AT[bin_]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def score(path, forecast, tables, probe, sight, squared):  # type: ignore[no-untyped-def]
+    """What a path gains. Ages are kept less the time that has passed, so that they need not grow.
+
+    path:    (H, 2) au
+    probe:   (P, 4) int32 scratch
+    sight:   (P,)   int32 scratch
+    squared: (P,)   float32 scratch
+    """
+    for p in range(sight.shape[0]):
+        sight[p] = forecast.sight_age[p]
+        for q in range(4):
+            probe[p, q] = forecast.probe_age[p, q]
+    rho = np.float32(tables.probe_au)
+    scale = np.float32(_REACH_BINS / _REACH_AU**2)
+    shape_worth = np.float32(tables.shape_worth)
+    size = forecast.mean.shape[1]
+    total = 0.0
+    for k in range(path.shape[0]):
+        passed = k + 1
+        ax, ay = np.float32(path[k, 0]), np.float32(path[k, 1])
+        for p in range(squared.shape[0]):
+            dx, dy = forecast.x[k, p] - ax, forecast.y[k, p] - ay
+            squared[p] = dx * dx + dy * dy
+        gained = np.float32(0.0)
+        cx, cy = min(int(ax * size), size - 1), min(int(ay * size), size - 1)
+        for i in range(forecast.mean.shape[0]):
+            mean = max(forecast.mean[i, cx, cy], np.float32(0.0))  # as the metric JSD counts it
+            cleared = shape_worth * mean * mean
+            for p in range(forecast.first[i], forecast.first[i + 1]):
+                gain = cleared
+                if squared[p] < SENSOR_RADIUS_AU**2:
+                    age = tables.seen_age
+                    for q in range(4):
+                        old = min(probe[p, q] + AGES_PER_STEP * passed, NUM_AGES - 1)
+                        if age < old:
+                            gain += tables.worth[age] - tables.worth[old]
+                            probe[p, q] = age - AGES_PER_STEP * passed
+                    gain += tables.known[min(sight[p] + passed, OLDEST)] - cleared
+                    sight[p] = -passed
+                elif squared[p] < _NEAR:
+                    presence = math.exp(np.float32(-0.5 / PRESENCE_STD_AU**2) * squared[p])
+                    gain -= np.float32(2.0) * shape_worth * mean * presence
+                    dx, dy = forecast.x[k, p] - ax, forecast.y[k, p] - ay
+                    for q in range(4):
+                        qx = dx + (rho if q == 0 else (-rho if q == 1 else np.float32(0.0)))
+                        qy = dy + (rho if q == 2 else (-rho if q == 3 else np.float32(0.0)))
+                        bin_ = int((qx * qx + qy * qy) * scale)
+                        if bin_ < _REACH_BINS:
+                            age = tables.age_at[bin_]
+                            old = min(probe[p, q] + AGES_PER_STEP * passed, NUM_AGES - 1)
+                            if age < old:
+                                gain += tables.worth[age] - tables.worth[old]
+                                probe[p, q] = age - AGES_PER_STEP * passed
+                gained += gain * forecast.weight[p]
+        total += tables.discount[k] * gained
+    return total
