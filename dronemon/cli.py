@@ -7,47 +7,32 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
-import signal
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-import yaml
-from rich.console import Console
 
 import dronemon
-from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
-from dronemon.errors import DronemonError, OptionError, PolicyError, VehicleError
+from dronemon.assembly import check_flight, fly_mission, make_planner
+from dronemon.errors import DronemonError, VehicleError
 from dronemon.evaluation.command import evaluate_command
-from dronemon.mission import Mission, MissionFile, find_mission, load_mission, shipped_missions
+from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
 from dronemon.mission.load import outbound_min, usable_min
-from dronemon.planner import Clairvoyant, Planner
-from dronemon.planner.registry import create_planner, planner_names
-from dronemon.recorder import RunRecorder
-from dronemon.runner import FlightResult, Interrupts, fly, mission_kernel, rehearse
-from dronemon.runner.summary import facts, summarise
-from dronemon.simulator import Simulator, read_truth, simulator
-from dronemon.terminal import FlightDisplay, facts_table
+from dronemon.planner.registry import planner_names
+from dronemon.runner.summary import facts
+from dronemon.terminal import console, facts_table, print_error
 from dronemon.training.command import train_command
-from dronemon.types import FloatArray
-from dronemon.vehicle.mavsdk_link import MavsdkLink
-from dronemon.viz import FlightView
 
 INTERRUPTED = 130
-_WORKER_THREADS = 16  # MAVSDK's calls wait in threads
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="One drone keeps watch over several moving targets.",
 )
-console = Console()
-errors = Console(stderr=True)
 
 MissionOption = Annotated[
     str, typer.Option("--mission", "-m", help="Mission file, or name of a shipped mission.")
@@ -66,7 +51,7 @@ def main() -> None:
     try:
         app()
     except DronemonError as exc:
-        errors.print(f"error: {exc}", style="bold red", soft_wrap=True, markup=False)
+        print_error(str(exc))
         sys.exit(exc.exit_code)
 
 
@@ -109,193 +94,23 @@ def fly_command(
     }
     overrides = {key: option for key, option in given.items() if option[1] is not None}
     file = load_mission(find_mission(mission), overrides)
-    _check_flight(file, follow)
-    chosen = _create_planner(file)
-    raise typer.Exit(asyncio.run(_fly(file, chosen, follow, out)))
-
-
-def _check_flight(file: MissionFile, follow: str | None) -> None:
-    """What is wrong with vehicle, camera and priors taken together. Raises MissionFileError."""
-    mission = file.mission
-    if mission.vehicle.is_mock and follow is not None:
-        raise OptionError("--follow goes with --vehicle URL; the mock has its own animals")
-    has_simulator = mission.vehicle.is_mock or follow is not None
-    if mission.camera.is_simulated and not has_simulator:
-        raise file.error(
-            ("camera", "url"),
-            "is `simulated`, but a vehicle at a URL has no simulator beside it; name its camera, "
-            "or let simulated animals follow it with --follow URL",
-        )
-    for index, target in enumerate(mission.targets):
-        if target.prior_au == "simulated" and not has_simulator:
-            raise file.error(
-                ("targets", index, "prior_au"),
-                "is `simulated`, but there is no simulator; give [x, y] or leave it out",
-            )
-
-
-def _create_planner(file: MissionFile) -> Planner:
-    """The planner of a mission. Raises MissionFileError naming the line."""
-    kind, checkpoint = file.mission.planner.kind, file.mission.planner.checkpoint
-    try:
-        planner = create_planner(kind, checkpoint=checkpoint)
-    except OptionError as exc:
-        raise file.error(("planner", "kind"), str(exc)) from exc
-    except PolicyError as exc:
-        raise file.error(("planner", "checkpoint"), str(exc)) from exc
-    if isinstance(planner, Clairvoyant):
-        raise file.error(
-            ("planner", "kind"),
-            f"{kind!r} must be told the future: it is a bound for `dronemon evaluate`, not a "
-            "planner to fly",
-        )
-    return planner
-
-
-async def _fly(file: MissionFile, planner: Planner, follow: str | None, out: Path | None) -> int:
-    mission = file.mission
-    loop = asyncio.get_running_loop()
-    loop.set_default_executor(ThreadPoolExecutor(_WORKER_THREADS))
-    interrupts = Interrupts()
-    for signal_number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(signal_number, interrupts.request)
-    names = tuple(target.name for target in mission.targets)
-    recorder = RunRecorder.create(
-        mission_text=_as_flown(mission), mission_name=mission.name, target_names=names, out=out
-    )
-    console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
-    console.print("getting ready (the first time code is compiled, for about 15 s)")
-    with recorder:
-        try:
-            result, truth, priors_au = await _with_everything(
-                file, planner, follow, recorder, interrupts
-            )
-        except BaseException as exc:
-            recorder.finish("failed", {"error": str(exc) or repr(exc)})
-            raise
-        summary = summarise(
-            result,
-            truth=truth,
-            priors_au=priors_au,
-            side_m=mission.area.side_m,
-            target_names=names,
-            kernel=mission_kernel(mission),
-        )
-        recorder.finish(result.outcome, summary)
-    console.print(facts_table(mission.name, facts(result.outcome, summary)))
+    check_flight(file, follow)
+    chosen = make_planner(file)
+    result, summary = asyncio.run(fly_mission(file, chosen, follow, out))
+    console.print(facts_table(file.mission.name, facts(result.outcome, summary)))
     if result.error is not None:
-        errors.print(f"error: {result.error}", style="bold red", soft_wrap=True, markup=False)
-        return result.error.exit_code
+        raise result.error
     if not result.is_landed:
-        errors.print("error: the drone is still armed, and the pilot's", style="bold red")
-        return VehicleError.exit_code
-    return INTERRUPTED if result.outcome == "interrupted" else 0
-
-
-async def _with_everything(
-    file: MissionFile,
-    planner: Planner,
-    follow: str | None,
-    recorder: RunRecorder,
-    interrupts: Interrupts,
-) -> tuple[FlightResult, dict[float, FloatArray], FloatArray]:
-    """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
-    folder, mission = recorder.folder, file.mission
-    async with contextlib.AsyncExitStack() as stack:
-        sim: Simulator | None = None
-        try:
-            async with asyncio.TaskGroup() as group:
-                group.create_task(rehearse(mission, planner, interrupts), name="rehearsal")
-                if mission.vehicle.is_mock or follow:
-                    sim = await stack.enter_async_context(
-                        simulator(
-                            folder.path / "mission.yaml",
-                            truth=folder.path / "truth.jsonl",
-                            log=folder.path / "simulator.log",
-                            follow=follow,
-                        )
-                    )
-        except BaseExceptionGroup as group_error:
-            # The first failure cancelled the other.
-            raise group_error.exceptions[0] from None
-        priors_au = _priors(mission, sim)
-        view = stack.enter_context(
-            FlightView(
-                folder.rrd_path,
-                title=mission.name,
-                targets={target.name: target.appearance for target in mission.targets},
-                camera=mission.camera.model,
-                side_m=mission.area.side_m,
-                live=mission.view.live,
-                port=mission.view.port,
-            )
-        )
-        if view.url:
-            console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
-        display = stack.enter_context(FlightDisplay(console))
-        link = await stack.enter_async_context(_link(mission, sim))
-        result = await fly(
-            file,
-            link=link,
-            camera=_camera(mission, sim, link),
-            planner=planner,
-            priors_au=priors_au,
-            recorder=recorder,
-            view=view,
-            interrupts=interrupts,
-            audience=display,
-        )
-        truth = read_truth(sim.truth) if sim else {}
-        for time_s, targets_au in truth.items():
-            view.truth(time_s, targets_au)
-    return result, truth, priors_au
-
-
-def _priors(mission: Mission, sim: Simulator | None) -> FloatArray:
-    """Known positions of the targets. -> (N, 2) au, NaN where unknown."""
-    priors_au = np.full((len(mission.targets), 2), np.nan)
-    for index, target in enumerate(mission.targets):
-        if target.prior_au == "simulated":
-            assert sim is not None  # _check_flight
-            priors_au[index] = sim.targets_au[index]
-        elif target.prior_au is not None:
-            priors_au[index] = target.prior_au
-    return priors_au
-
-
-def _link(mission: Mission, sim: Simulator | None) -> MavsdkLink:
-    vehicle = mission.vehicle
-    url = sim.vehicle_url if sim and sim.vehicle_url else vehicle.url
-    return MavsdkLink(
-        url,
-        connect_timeout_s=vehicle.connect_timeout_s,
-        command_timeout_s=vehicle.command_timeout_s,
-        link_loss_timeout_s=vehicle.link_loss_timeout_s,
-    )
-
-
-def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameSource:
-    camera = mission.camera
-    if camera.is_simulated:
-        assert sim is not None  # _check_flight
-        return SimulatedCamera(sim.camera_url, timeout_s=camera.timeout_s)
-    source = int(camera.url) if camera.url.isdigit() else camera.url
-    return VideoCamera(source, timeout_s=camera.timeout_s, latency_s=camera.latency_s, clock=link)
-
-
-def _as_flown(mission: Mission) -> str:
-    """The mission with every default and override, as a file that can be flown again."""
-    return yaml.safe_dump(
-        mission.model_dump(mode="json", exclude_none=True), sort_keys=False, allow_unicode=True
-    )
+        raise VehicleError("the drone is still armed, and the pilot's")
+    raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else 0)
 
 
 @app.command()
 def check(mission: MissionOption = "animals", follow: FollowOption = None) -> None:
     """Validate a mission and print what would be flown, without flying."""
     file = load_mission(find_mission(mission))
-    _check_flight(file, follow)
-    _create_planner(file)
+    check_flight(file, follow)
+    make_planner(file)
     m = file.mission
     # Mean distance to one of the k nearest of V random places.
     leg_au = 2.0 / 3.0 * np.sqrt(m.roadmap.num_neighbours / (np.pi * m.roadmap.num_nodes))

@@ -13,6 +13,8 @@ from rich.text import Text
 from dronemon.runner import FlightStatus
 from dronemon.runner.status import Level
 
+console = Console()
+_errors = Console(stderr=True)
 _STYLES: dict[Level, str] = {"INFO": "cyan", "WARN": "yellow", "ERROR": "bold red"}
 _PLAIN_STEP = 0.1
 _BAR_WIDTH = 24
@@ -92,3 +94,8 @@ def facts_table(title: str, facts: Mapping[str, str]) -> Table:
     for name, value in facts.items():
         table.add_row(Text(name), Text(value))
     return table
+
+
+def print_error(message: str) -> None:
+    """Say what went wrong, on stderr."""
+    _errors.print(f"error: {message}", style="bold red", soft_wrap=True, markup=False)

@@ -29,6 +29,7 @@ LAYERS = {
     "runner": 4,
     "training": 4,
     "evaluation": 4,
+    "assembly": 5,
     "cli": 5,
     "simulator": 5,
     "terminal": 5,
