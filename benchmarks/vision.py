@@ -3,7 +3,7 @@
 Each picture has a random place, heading, height (35 m +-20 %) and tilt (up to 15 degrees) over a
 random area of 200 m with one animal of every appearance, at least one of them near the vehicle, and
 goes through the JPEG of the stream. An animal counts for recall if it is drawn wholly inside both
-the sensor's circle and the picture. The looks in `dronemon.vision.looks` were measured on other
+the sensor's circle and the picture. `dronemon.vision.prototypes` was measured on other
 seeds (`--measure`, 10001 and up).
 """
 
@@ -23,9 +23,11 @@ from dronemon.mission.schema import APPEARANCES
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
 from dronemon.vision.detect import Detector
-from dronemon.vision.looks import ENLARGEMENT
-from sim.animals import drawn_size_m
-from sim.camera import Animal, Renderer, Scene, encode
+from dronemon.vision.prototypes import ENLARGEMENT
+from sim.camera import encode
+from sim.renderer import Renderer
+from sim.scene import Animal, Scene
+from sim.sprites import drawn_size_m
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 SIDE_M = 200.0
@@ -184,7 +186,7 @@ def benchmark(seed: int, num_pictures: int) -> None:
 
 
 def measure(seed: int, num_pictures: int) -> None:
-    """Print the median traits of the simulated animals, for `dronemon.vision.looks`."""
+    """Print the median traits of the simulated animals, for `dronemon.vision.prototypes`."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
     detector = Detector(APPEARANCES, CAMERA, min_score=0.5)
@@ -211,7 +213,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, help="default: 0, or 10001 with --measure")
     parser.add_argument("--pictures", type=int, default=500)
-    parser.add_argument("--measure", action="store_true", help="print the looks instead")
+    parser.add_argument("--measure", action="store_true", help="print the prototypes instead")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     if options.measure:

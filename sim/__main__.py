@@ -24,8 +24,8 @@ from dronemon.mission import Mission
 from dronemon.mission.load import find_mission, load_mission
 from sim.camera import CameraServer
 from sim.faults import parse_fault
+from sim.flight import MockFlight
 from sim.follow import Follower, parse_udpin
-from sim.simulation import Simulation
 from sim.world import TruthFile, World
 
 _LOG = logging.getLogger("sim")
@@ -72,7 +72,7 @@ async def _fly(
     stop: asyncio.Event,
 ) -> None:
     """The mock autopilot in the world, until `stop`."""
-    simulation = Simulation(mission, world, tuple(options.fault))
+    simulation = MockFlight(mission, world, tuple(options.fault))
     speed_up = options.speed_up or mission.vehicle.speed_up
     camera = CameraServer(
         mission.camera.model, mission.simulation.seed, simulation.scene, truth.write

@@ -12,15 +12,15 @@ from collections.abc import Callable
 
 from dronemon.frames import GeoPoint
 from dronemon.types import Vector3
-from sim.commander import Commander, Severity, Situation
-from sim.control import PositionController, Setpoint
+from sim.commander import Commander, CommanderInputs, Severity
+from sim.control import PositionController, TrajectorySetpoint
 from sim.dynamics import GRAVITY_M_S2, Quadrotor, Wind
 from sim.estimator import Estimator
 from sim.geodesy import LocalMap
-from sim.modes import Mode
+from sim.mission_protocol import MissionStore
+from sim.modes import Px4Mode
 from sim.navigator import Navigator
 from sim.parameters import Parameters
-from sim.plans import Plans
 
 STEP_S = 0.01
 BOOT_S = 1.6
@@ -54,7 +54,7 @@ class Autopilot:
         self.map = LocalMap(origin)
         self.endurance_s = endurance_s
         self.parameters = Parameters()
-        self.plans = Plans()
+        self.missions = MissionStore()
         self._start_ned_m = start_ned_m
         self._make_wind = make_wind
         self._rng = rng
@@ -75,9 +75,9 @@ class Autopilot:
         self.navigator = Navigator(self.parameters, self.estimate)
         self._control = PositionController(self.parameters)
         self._entered = self.commander.mode
-        self._offboard = Setpoint()
+        self._offboard = TrajectorySetpoint()
         self._offboard_at_s = -math.inf
-        self.setpoint = Setpoint()
+        self.setpoint = TrajectorySetpoint()
         self.is_landed = True
         self.has_home = False
         self._down_since_s = 0.0
@@ -107,19 +107,19 @@ class Autopilot:
     @property
     def is_setpoint_late(self) -> bool:
         """Whether it flies an offboard setpoint that should have been followed by another."""
-        is_flying_it = self.commander.is_armed and self.commander.mode is Mode.OFFBOARD
+        is_flying_it = self.commander.is_armed and self.commander.mode is Px4Mode.OFFBOARD
         return is_flying_it and self._setpoint_age_s > _SETPOINT_LATE_S
 
     @property
     def _setpoint_age_s(self) -> float:
         return self.time_s - self._offboard_at_s
 
-    def take_offboard(self, setpoint: Setpoint) -> None:
+    def take_offboard(self, setpoint: TrajectorySetpoint) -> None:
         """Take a setpoint from outside; it counts as a sign of life of its sender."""
         self._offboard = setpoint
         self._offboard_at_s = self.time_s
 
-    def request_mode(self, mode: Mode) -> bool:
+    def request_mode(self, mode: Px4Mode) -> bool:
         """Ask for a mode. -> whether it may fly."""
         self._update_commander()
         return self.commander.request_mode(mode)
@@ -141,7 +141,7 @@ class Autopilot:
 
     def reposition(self, target: Vector3, yaw_rad: float, speed_m_s: float) -> bool:
         """Hold at another place. -> whether hold may fly."""
-        if not self.request_mode(Mode.LOITER):
+        if not self.request_mode(Px4Mode.LOITER):
             return False
         self._update_commander()
         self.navigator.hold_at(target, yaw_rad, speed_m_s)
@@ -164,7 +164,7 @@ class Autopilot:
 
     def _update_commander(self) -> None:
         self.commander.update(
-            Situation(
+            CommanderInputs(
                 time_s=self.time_s,
                 is_landed=self.is_landed,
                 is_ready=self.is_ready,
@@ -179,13 +179,13 @@ class Autopilot:
             self.navigator.enter(self._entered)
 
     def _finish_takeoff(self) -> None:
-        if self._entered is not Mode.TAKEOFF or self.is_landed:
+        if self._entered is not Px4Mode.TAKEOFF or self.is_landed:
             return
         if self.navigator.is_takeoff_complete:
             self.navigator.takeoff_down_m = math.nan
             self.commander.complete_takeoff()
             # Hold keeps the take-off's target instead of stopping where it is.
-            self._entered = Mode.LOITER
+            self._entered = Px4Mode.LOITER
 
     def _fly(self) -> None:
         """Setpoint, control and motion."""
@@ -196,7 +196,7 @@ class Autopilot:
             self._control.reset()
             self.body.step(_IDLE, self.body.yaw, yaw_max, STEP_S)
             return
-        if mode is Mode.OFFBOARD:
+        if mode is Px4Mode.OFFBOARD:
             self.setpoint = self._offboard
         else:
             self.setpoint = self.navigator.setpoint(mode, STEP_S)
@@ -211,14 +211,14 @@ class Autopilot:
         )
         self.body.step(thrust, self._yaw_rad, yaw_max, STEP_S)
 
-    def _may_lift_off(self, mode: Mode) -> bool:
+    def _may_lift_off(self, mode: Px4Mode) -> bool:
         """Whether to leave the ground now: armed, spooled up and asked to climb."""
         armed_since_s = self.commander.armed_since_s
         if armed_since_s is None:
             return False
         if self.time_s - armed_since_s < self.parameters["COM_SPOOLUP_TIME"]:
             return False
-        if not (mode is Mode.TAKEOFF or (mode is Mode.OFFBOARD and self._wants_climb())):
+        if not (mode is Px4Mode.TAKEOFF or (mode is Px4Mode.OFFBOARD and self._wants_climb())):
             return False
         self.is_landed = False
         self._flying_since_s = self._down_since_s = self.time_s

@@ -6,16 +6,13 @@ import asyncio
 import struct
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from types import TracebackType
 from typing import Self
 
 import cv2
 
 from dronemon.types import CameraModel, ImageArray
 from sim.renderer import Renderer
-from sim.scene import Animal, Scene
-
-__all__ = ["Animal", "CameraServer", "Renderer", "Scene"]
+from sim.scene import Scene
 
 REQUEST = b"SHOT"
 ANSWER = struct.Struct("!4sdI")
@@ -55,12 +52,7 @@ class CameraServer:
         self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *exc: object) -> None:
         self._server.close()
         for writer in self._clients.values():
             writer.transport.abort()  # ends its task, which asyncio 3.11 does not like cancelled

@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.types import Vector3
 from sim.autopilot import Autopilot
-from sim.control import Setpoint
-from sim.modes import Mode, mode_from_parts
+from sim.control import TrajectorySetpoint
+from sim.modes import Px4Mode, mode_from_parts
 
 ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
 REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
@@ -55,7 +55,7 @@ def execute(autopilot: Autopilot, command: Command) -> int:
     return UNSUPPORTED if handler is None else handler(autopilot, command.params)
 
 
-def _mode(autopilot: Autopilot, mode: Mode) -> int:
+def _mode(autopilot: Autopilot, mode: Px4Mode) -> int:
     return ACCEPTED if autopilot.request_mode(mode) else REJECTED
 
 
@@ -76,7 +76,7 @@ def _arm_or_disarm(autopilot: Autopilot, params: tuple[float, ...]) -> int:
 
 
 def _take_off(autopilot: Autopilot, params: tuple[float, ...]) -> int:
-    result = _mode(autopilot, Mode.TAKEOFF)
+    result = _mode(autopilot, Px4Mode.TAKEOFF)
     if result == ACCEPTED and not math.isnan(params[6]):
         autopilot.navigator.takeoff_down_m = autopilot.origin.altitude_m - params[6]
     return result
@@ -124,9 +124,9 @@ _HANDLERS: dict[int, Callable[[Autopilot, tuple[float, ...]], int]] = {
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
     mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
-    mavlink.MAV_CMD_NAV_LAND: lambda autopilot, _: _mode(autopilot, Mode.LAND),
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda autopilot, _: _mode(autopilot, Mode.RTL),
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda autopilot, _: _mode(autopilot, Mode.LOITER),
+    mavlink.MAV_CMD_NAV_LAND: lambda autopilot, _: _mode(autopilot, Px4Mode.LAND),
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda autopilot, _: _mode(autopilot, Px4Mode.RTL),
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda autopilot, _: _mode(autopilot, Px4Mode.LOITER),
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
     mavlink.MAV_CMD_DO_SET_HOME: _set_home,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
@@ -134,7 +134,7 @@ _HANDLERS: dict[int, Callable[[Autopilot, tuple[float, ...]], int]] = {
 }
 
 
-def setpoint_from_local(message: Any, yaw_rad: float) -> Setpoint | None:
+def setpoint_from_local(message: Any, yaw_rad: float) -> TrajectorySetpoint | None:
     """Setpoint of SET_POSITION_TARGET_LOCAL_NED; None if the autopilot does not take it.
 
     yaw_rad: the vehicle's, by which body frames are turned
@@ -147,7 +147,7 @@ def setpoint_from_local(message: Any, yaw_rad: float) -> Setpoint | None:
     return None
 
 
-def setpoint_from_global(message: Any, autopilot: Autopilot) -> Setpoint | None:
+def setpoint_from_global(message: Any, autopilot: Autopilot) -> TrajectorySetpoint | None:
     """Setpoint of SET_POSITION_TARGET_GLOBAL_INT; None if the autopilot does not take it."""
     if message.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT:
         home_m = autopilot.origin.altitude_m - autopilot.navigator.home[2]
@@ -160,12 +160,12 @@ def setpoint_from_global(message: Any, autopilot: Autopilot) -> Setpoint | None:
     return _setpoint(message, place, yaw_rad=0.0)
 
 
-def _setpoint(message: Any, position: Vector3, *, yaw_rad: float) -> Setpoint | None:
+def _setpoint(message: Any, position: Vector3, *, yaw_rad: float) -> TrajectorySetpoint | None:
     """Apply the type mask: every ignored value is NaN. None if nothing flyable is left."""
     mask = message.type_mask
     velocity = _turned((message.vx, message.vy, message.vz), yaw_rad)
     push = _turned((message.afx, message.afy, message.afz), yaw_rad)
-    setpoint = Setpoint(
+    setpoint = TrajectorySetpoint(
         position=_masked(position, mask),
         velocity=_masked(velocity, mask >> 3),
         acceleration=_masked(push, mask >> 6),

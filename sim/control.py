@@ -18,7 +18,7 @@ _THRUST_MAX_M_S2 = 2.0 * GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setpoint:
+class TrajectorySetpoint:
     """What to fly: NED metres and seconds; NaN leaves an axis free.
 
     A velocity next to a position, and an acceleration next to either, is fed forward.
@@ -64,7 +64,7 @@ class PositionController:
 
     def thrust(
         self,
-        setpoint: Setpoint,
+        setpoint: TrajectorySetpoint,
         position: list[float],
         velocity: list[float],
         acceleration: list[float],
@@ -93,7 +93,7 @@ class PositionController:
         return thrust
 
     def _wanted_velocity(
-        self, setpoint: Setpoint, position: list[float], climb_max_m_s: float
+        self, setpoint: TrajectorySetpoint, position: list[float], climb_max_m_s: float
     ) -> list[float]:
         """Velocity setpoint: position P plus feed-forward, limited. NaN where neither is given."""
         correction, feed, free = [0.0] * 3, [0.0] * 3, [False] * 3

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-from types import TracebackType
 from typing import Any, Self
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -66,12 +65,7 @@ class Follower(asyncio.DatagramProtocol):
         )
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *exc: object) -> None:
         self._transport.close()
 
     @property

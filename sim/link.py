@@ -25,8 +25,8 @@ from sim.commands import (
     setpoint_from_local,
     whole,
 )
+from sim.mission_protocol import MissionProtocol
 from sim.parameters import TABLE
-from sim.plans import PlanService
 from sim.streams import STREAMS, Builder
 
 _DATAGRAM_BYTES = 1200
@@ -70,7 +70,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
         self._mav.robust_parsing = True
         self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
         self._active = self._in_use()
-        self._plans = PlanService(autopilot.plans)
+        self._missions = MissionProtocol(autopilot.missions)
         self._boots = autopilot.num_boots
         self._pending: deque[Any] = deque()
         self._parameters_left = iter(range(0))
@@ -129,7 +129,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
         self._boots = self._autopilot.num_boots
         self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
         self._active = self._in_use()
-        self._plans = PlanService(self._autopilot.plans)
+        self._missions = MissionProtocol(self._autopilot.missions)
         self._pending.clear()
         self._parameters_left = iter(range(0))
 
@@ -158,7 +158,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
         elif kind.startswith("PARAM_"):
             self._serve_parameters(message)
         elif kind.startswith("MISSION_"):
-            for reply in self._plans.answer(message):
+            for reply in self._missions.answer(message):
                 self._send(reply)
         else:
             self._serve_link(message)
@@ -197,9 +197,9 @@ class MavlinkLink(asyncio.DatagramProtocol):
             result = self._serve_messages(command)
             if result == UNSUPPORTED:
                 result = execute(self._autopilot, command)
-        ack = _ack(message, result)
+        ack = _command_ack(message, result)
         if command.number == mavlink.MAV_CMD_DO_SET_MODE:
-            self._send(_ack(message, ACCEPTED))
+            self._send(_command_ack(message, ACCEPTED))
             self._pending.append(ack)
         else:
             self._send(ack)
@@ -277,6 +277,6 @@ async def open_link(
     return link
 
 
-def _ack(message: Any, result: int) -> Any:
+def _command_ack(message: Any, result: int) -> Any:
     sender = message.get_srcSystem(), message.get_srcComponent()
     return mavlink.MAVLink_command_ack_message(message.command, result, 255, 0, *sender)

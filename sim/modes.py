@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 
-class Mode(IntEnum):
+class Px4Mode(IntEnum):
     """Flight modes of the simulated autopilot; a value is main mode << 16 | sub mode << 24."""
 
     ALTCTL = 2 << 16
@@ -24,17 +24,17 @@ class Mode(IntEnum):
     @property
     def is_manual(self) -> bool:
         """Whether a pilot's sticks decide."""
-        return self in (Mode.ALTCTL, Mode.POSCTL)
+        return self in (Px4Mode.ALTCTL, Px4Mode.POSCTL)
 
     @property
     def prevents_arming(self) -> bool:
         """Whether PX4 refuses to arm in it."""
-        return self in (Mode.RTL, Mode.LAND)
+        return self in (Px4Mode.RTL, Px4Mode.LAND)
 
 
-def mode_from_parts(main: int, sub: int) -> Mode | None:
+def mode_from_parts(main: int, sub: int) -> Px4Mode | None:
     """Mode of DO_SET_MODE's second and third parameter; None if the autopilot does not have it."""
     try:
-        return Mode(main << 16 | sub << 24)
+        return Px4Mode(main << 16 | sub << 24)
     except ValueError:
         return None

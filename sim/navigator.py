@@ -7,9 +7,9 @@ from enum import Enum, auto
 from math import nan
 
 from dronemon.types import Vector3
-from sim.control import UNSET, Setpoint
+from sim.control import UNSET, TrajectorySetpoint
 from sim.estimator import Estimator
-from sim.modes import Mode
+from sim.modes import Px4Mode
 from sim.parameters import Parameters
 from sim.trajectory import Limits, Trajectory, stopping_point
 
@@ -51,16 +51,16 @@ class Navigator:
         """Estimated height above home."""
         return self.home[2] - self._estimate.position[2]
 
-    def enter(self, mode: Mode) -> None:
+    def enter(self, mode: Px4Mode) -> None:
         """Begin a mode from where the vehicle is."""
         estimate = self._estimate
         self._trajectory.start(estimate.position, estimate.velocity)
         self._yaw_rad = estimate.yaw
         self._cruise_m_s = None
         self._target = stopping_point(estimate.position, estimate.velocity, self._limits())
-        if mode is Mode.TAKEOFF:
+        if mode is Px4Mode.TAKEOFF:
             self._target = self._takeoff_target()
-        elif mode is Mode.RTL:
+        elif mode is Px4Mode.RTL:
             self._return = _Return.CLIMB
             self._target = (*self._target[:2], self._return_down())
 
@@ -75,16 +75,18 @@ class Navigator:
         """Fly at another speed until the mode changes."""
         self._cruise_m_s = speed_m_s
 
-    def setpoint(self, mode: Mode, dt_s: float) -> Setpoint:
+    def setpoint(self, mode: Px4Mode, dt_s: float) -> TrajectorySetpoint:
         """What to fly in a mode other than OFFBOARD."""
-        if mode is Mode.ALTCTL:
+        if mode is Px4Mode.ALTCTL:
             free = (nan, nan, self._target[2])
-            return Setpoint(position=free, acceleration=(0.0, 0.0, nan), yaw_rad=self._yaw_rad)
-        if mode is Mode.RTL:
+            return TrajectorySetpoint(
+                position=free, acceleration=(0.0, 0.0, nan), yaw_rad=self._yaw_rad
+            )
+        if mode is Px4Mode.RTL:
             self._advance_return()
-        if mode is Mode.LAND or (mode is Mode.RTL and self._return is _Return.LAND):
+        if mode is Px4Mode.LAND or (mode is Px4Mode.RTL and self._return is _Return.LAND):
             return self._landing_setpoint(dt_s)
-        return self._moving_setpoint(self._limits(in_takeoff=mode is Mode.TAKEOFF), dt_s)
+        return self._moving_setpoint(self._limits(in_takeoff=mode is Px4Mode.TAKEOFF), dt_s)
 
     @property
     def is_takeoff_complete(self) -> bool:
@@ -99,17 +101,17 @@ class Navigator:
             wanted = self.home[2] - self._parameters["MIS_TAKEOFF_ALT"]
         return (north, east, min(wanted, down))
 
-    def _moving_setpoint(self, limits: Limits, dt_s: float) -> Setpoint:
+    def _moving_setpoint(self, limits: Limits, dt_s: float) -> TrajectorySetpoint:
         trajectory = self._trajectory
         trajectory.step(self._target, limits, dt_s)
-        return Setpoint(
+        return TrajectorySetpoint(
             position=_vector(trajectory.position),
             velocity=_vector(trajectory.velocity),
             acceleration=_vector(trajectory.acceleration),
             yaw_rad=self._yaw_rad,
         )
 
-    def _landing_setpoint(self, dt_s: float) -> Setpoint:
+    def _landing_setpoint(self, dt_s: float) -> TrajectorySetpoint:
         """Hold the place and sink, slower near the ground."""
         p = self._parameters
         share = (self.height_m - p["MPC_LAND_ALT2"]) / (p["MPC_LAND_ALT1"] - p["MPC_LAND_ALT2"])
@@ -117,7 +119,7 @@ class Navigator:
         limits = self._limits(down_m_s=slow + min(max(share, 0.0), 1.0) * (fast - slow))
         self._target = (*self._target[:2], self._trajectory.position[2] + _FAR_DOWN_M)
         moving = self._moving_setpoint(limits, dt_s)
-        return Setpoint(
+        return TrajectorySetpoint(
             position=(*moving.position[:2], nan),
             velocity=moving.velocity,
             acceleration=UNSET,

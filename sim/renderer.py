@@ -14,9 +14,9 @@ import numpy as np
 from dronemon.frames import AreaFrame
 from dronemon.mission.schema import APPEARANCES
 from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
-from sim.animals import NUM_PHASES, SPRITE_PX_PER_M, draw_sprites, stride_m
-from sim.ground import TEXEL_M, TILE_M, draw_ground, pyramid
+from sim.ground_texture import TEXEL_M, TILE_M, draw_ground, pyramid
 from sim.scene import Animal, Scene
+from sim.sprites import NUM_PHASES, SPRITE_PX_PER_M, draw_sprites, stride_m
 
 _SHADOW_PER_M = (0.45, 0.40)
 """Shadow of a pole one metre high, to the north and to the east."""

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sim.autopilot import Autopilot
 from sim.commander import GPS_LOSS_TOLERATED_S, Charge
 from sim.dynamics import GRAVITY_M_S2
-from sim.modes import Mode
+from sim.modes import Px4Mode
 
 Builder = Callable[[Autopilot], Any]
 _EPOCH_US = 1_760_000_000_000_000
@@ -104,9 +104,9 @@ def _extended_sys_state(autopilot: Autopilot) -> Any:
     state = mavlink.MAV_LANDED_STATE_IN_AIR
     if autopilot.is_landed:
         state = mavlink.MAV_LANDED_STATE_ON_GROUND
-    elif mode is Mode.TAKEOFF:
+    elif mode is Px4Mode.TAKEOFF:
         state = mavlink.MAV_LANDED_STATE_TAKEOFF
-    elif mode is Mode.LAND or (mode is Mode.RTL and autopilot.navigator.is_landing):
+    elif mode is Px4Mode.LAND or (mode is Px4Mode.RTL and autopilot.navigator.is_landing):
         state = mavlink.MAV_LANDED_STATE_LANDING
     return mavlink.MAVLink_extended_sys_state_message(0, state)
 
@@ -305,9 +305,9 @@ def _estimator_status(autopilot: Autopilot) -> Any:
 
 
 def _mission_current(autopilot: Autopilot) -> Any:
-    plans = autopilot.plans
+    missions = autopilot.missions
     return mavlink.MAVLink_mission_current_message(
-        plans.current, len(plans.items[mavlink.MAV_MISSION_TYPE_MISSION])
+        missions.current, len(missions.items[mavlink.MAV_MISSION_TYPE_MISSION])
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Protocol, Self
 
 from dronemon.types import Picture
@@ -15,12 +14,7 @@ class FrameSource(Protocol):
         """Open the stream. Raises CameraError if it cannot be opened in time."""
         ...
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *exc: object) -> None:
         """Close the stream."""
         ...
 

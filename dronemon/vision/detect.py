@@ -2,7 +2,7 @@
 
 Every pixel is looked up in a table of coat and ground colours. Connected coat pixels of an animal's
 size become candidates; each is cut out once more as a patch of ground of constant scale, so that
-its traits do not depend on height and tilt, and named after the look that they fit best.
+its traits do not depend on height and tilt, and named after the prototype that they fit best.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from scipy.spatial import KDTree
 from dronemon.errors import CameraError
 from dronemon.frames import ground_to_pixel, pixel_to_ground
 from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
-from dronemon.vision.looks import (
+from dronemon.vision.prototypes import (
     COAT_COLOURS,
     COAT_SHADES,
     ENLARGEMENT,
     GROUND_COLOURS,
     GROUND_SHADES,
-    LOOKS,
+    PROTOTYPES,
     STONE_COLOURS,
     STONE_SHADES,
 )
@@ -38,7 +38,7 @@ _MIN_AREA_M2 = 0.07 * ENLARGEMENT**2
 _MAX_CANDIDATES = 64
 _MIN_HEIGHT_M = 2.0
 _MISFIT_LIMIT = 5.0
-"""Mean squared deviation from a look, in spreads, at which a candidate is as likely no animal."""
+"""Mean squared deviation from a prototype, in spreads, at which it is as likely no animal."""
 _FAINT = 60.0
 """Contrast below which a coat counts as plain."""
 _GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -48,7 +48,7 @@ _GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 class Candidate:
     """Something with the colours and about the size of an animal.
 
-    centre_px: (2,) u, v of the centre of its area; traits: (8,) as in Look.
+    centre_px: (2,) u, v of the centre of its area; traits: (8,) as in Prototype.
     """
 
     centre_px: FloatArray
@@ -63,15 +63,15 @@ class Detector:
     """
 
     def __init__(self, appearances: Sequence[str], camera: CameraModel, min_score: float) -> None:
-        unknown = sorted(set(appearances) - set(LOOKS))
+        unknown = sorted(set(appearances) - set(PROTOTYPES))
         if unknown:
-            raise ValueError(f"no look is known for {unknown}; known are {sorted(LOOKS)}")
+            raise ValueError(f"no prototype is known for {unknown}; known are {sorted(PROTOTYPES)}")
         self._appearances = frozenset(appearances)
         self._camera = camera
         self._min_score = min_score
-        self._names = tuple(LOOKS)
-        self._traits = np.stack([look.traits for look in LOOKS.values()])
-        self._spreads = np.stack([look.spreads for look in LOOKS.values()])
+        self._names = tuple(PROTOTYPES)
+        self._traits = np.stack([prototype.traits for prototype in PROTOTYPES.values()])
+        self._spreads = np.stack([prototype.spreads for prototype in PROTOTYPES.values()])
         self._colour_table = _colour_table()
 
     def detect(self, image: ImageArray, pose: Pose, ground_down_m: float) -> tuple[Detection, ...]:
@@ -88,7 +88,7 @@ class Detector:
         return tuple(detections)
 
     def candidates(self, image: ImageArray, pose: Pose, ground_down_m: float) -> list[Candidate]:
-        """Whatever may be an animal, not named yet; for `detect` and to measure new looks."""
+        """Whatever may be an animal, not named yet; for `detect` and to measure new prototypes."""
         expected = (self._camera.height_px, self._camera.width_px, 3)
         if image.shape != expected:
             raise CameraError(
@@ -168,7 +168,7 @@ class Detector:
         return np.array([columns.mean() + 0.5, rows.mean() + 0.5]), traits
 
     def _name(self, traits: FloatArray) -> tuple[str, float]:
-        """The look that fits best, and how sure that is."""
+        """The prototype that fits best, and how sure that is."""
         deviation = (traits - self._traits) / self._spreads
         log_fit = -0.5 * (deviation**2).sum(axis=1) - np.log(self._spreads).sum(axis=1)
         best = int(log_fit.argmax())
@@ -181,7 +181,7 @@ class Detector:
         self, centre_px: FloatArray, appearance: str, pose: Pose, ground_down_m: float
     ) -> tuple[float, float]:
         """Pixel of the ground under a trunk that is seen at a pixel."""
-        trunk_down_m = ground_down_m - LOOKS[appearance].trunk_height_m * ENLARGEMENT
+        trunk_down_m = ground_down_m - PROTOTYPES[appearance].trunk_height_m * ENLARGEMENT
         at_m = pixel_to_ground(centre_px, self._camera, pose, trunk_down_m)
         u, v = ground_to_pixel(at_m, self._camera, pose, ground_down_m)
         return float(u), float(v)
@@ -190,7 +190,7 @@ class Detector:
 def _traits(
     rows: NDArray[np.intp], columns: NDArray[np.intp], coat: NDArray[np.uint8], light: FloatArray
 ) -> FloatArray:
-    """Traits of the pixels of one animal, in the order of Look.traits. -> (8,)"""
+    """Traits of the pixels of one animal, in the order of Prototype.traits. -> (8,)"""
     points_m = np.stack([columns - columns.mean(), rows - rows.mean()]) / _PATCH_PX_PER_M
     variances, axes = np.linalg.eigh(points_m @ points_m.T / rows.size)
     width_m, length_m = 4.0 * np.sqrt(np.maximum(variances, 1e-6))

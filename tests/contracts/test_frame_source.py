@@ -15,7 +15,8 @@ from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
 from dronemon.errors import CameraError
 from dronemon.frames import AreaFrame
 from dronemon.types import CameraModel, Pose
-from sim.camera import CameraServer, Scene
+from sim.camera import CameraServer
+from sim.scene import Scene
 
 WIDTH, HEIGHT = 96, 64
 TIMEOUT_S = 1.0

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.mission import Mission
 from sim.faults import Fault
-from sim.simulation import Simulation
+from sim.flight import MockFlight
 
 FAULTLESS: tuple[Fault, ...] = ()
 
@@ -26,7 +26,7 @@ def make_mission(**sections: Any) -> Mission:
 class GroundStation(asyncio.DatagramProtocol):
     """A bare MAVLink client; it moves the simulation itself, so nothing waits on a wall clock."""
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: MockFlight) -> None:
         self.simulation = simulation
         self.heard: list[Any] = []
         self._mav = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)

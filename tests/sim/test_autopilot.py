@@ -10,9 +10,9 @@ from ground_station import make_mission
 
 from sim.autopilot import Autopilot
 from sim.commander import Charge
-from sim.control import Setpoint
-from sim.modes import Mode
-from sim.simulation import HOME_NED_M, Simulation
+from sim.control import TrajectorySetpoint
+from sim.flight import HOME_NED_M, MockFlight
+from sim.modes import Px4Mode
 from sim.world import World
 
 
@@ -20,12 +20,12 @@ from sim.world import World
 def vehicle() -> Autopilot:
     """Just ready to arm."""
     mission = make_mission(flight={"endurance_min": 10.0})
-    autopilot = Simulation(mission, World(mission)).autopilot
+    autopilot = MockFlight(mission, World(mission)).autopilot
     fly(autopilot, 6.0)
     return autopilot
 
 
-def fly(autopilot: Autopilot, seconds: float, offboard: Setpoint | None = None) -> None:
+def fly(autopilot: Autopilot, seconds: float, offboard: TrajectorySetpoint | None = None) -> None:
     """Let time pass; with a setpoint that comes at 10 Hz."""
     for step in range(round(seconds * 100)):
         if offboard is not None and step % 10 == 0:
@@ -36,7 +36,7 @@ def fly(autopilot: Autopilot, seconds: float, offboard: Setpoint | None = None) 
 def take_off(autopilot: Autopilot, height_m: float) -> None:
     autopilot.parameters.set("MIS_TAKEOFF_ALT", height_m)
     assert autopilot.arm()
-    assert autopilot.request_mode(Mode.TAKEOFF)
+    assert autopilot.request_mode(Px4Mode.TAKEOFF)
     fly(autopilot, 8.0 + height_m / 1.4)
 
 
@@ -44,14 +44,14 @@ def height_m(autopilot: Autopilot) -> float:
     return HOME_NED_M[2] - autopilot.body.position[2]
 
 
-def hover(autopilot: Autopilot) -> Setpoint:
+def hover(autopilot: Autopilot) -> TrajectorySetpoint:
     north, east, down = autopilot.estimate.position
-    return Setpoint(position=(north, east, down), yaw_rad=0.0)
+    return TrajectorySetpoint(position=(north, east, down), yaw_rad=0.0)
 
 
 def test_arming_waits_for_the_checks() -> None:
     mission = make_mission()
-    autopilot = Simulation(mission, World(mission)).autopilot
+    autopilot = MockFlight(mission, World(mission)).autopilot
     fly(autopilot, 4.0)
     assert not autopilot.arm()
     fly(autopilot, 1.5)
@@ -60,7 +60,7 @@ def test_arming_waits_for_the_checks() -> None:
 
 def test_takeoff_ends_in_hold_at_the_set_height(vehicle: Autopilot) -> None:
     take_off(vehicle, 20.0)
-    assert vehicle.commander.mode is Mode.LOITER
+    assert vehicle.commander.mode is Px4Mode.LOITER
     assert height_m(vehicle) == pytest.approx(20.0, abs=1.0)
 
 
@@ -73,7 +73,7 @@ def test_idle_vehicle_disarms_itself(vehicle: Autopilot) -> None:
 
 
 def test_offboard_without_setpoints_prevents_arming(vehicle: Autopilot) -> None:
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     assert not vehicle.arm()
     fly(vehicle, 0.5, hover(vehicle))
     assert vehicle.arm()
@@ -81,14 +81,14 @@ def test_offboard_without_setpoints_prevents_arming(vehicle: Autopilot) -> None:
 
 def test_offboard_without_setpoints_is_refused_in_the_air(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
-    assert not vehicle.request_mode(Mode.OFFBOARD)
-    assert vehicle.commander.mode is Mode.LOITER
+    assert not vehicle.request_mode(Px4Mode.OFFBOARD)
+    assert vehicle.commander.mode is Px4Mode.LOITER
 
 
 def test_offboard_lifts_off_by_itself(vehicle: Autopilot) -> None:
-    up = Setpoint(position=(HOME_NED_M[0], HOME_NED_M[1], HOME_NED_M[2] - 8.0))
+    up = TrajectorySetpoint(position=(HOME_NED_M[0], HOME_NED_M[1], HOME_NED_M[2] - 8.0))
     fly(vehicle, 0.5, up)
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     assert vehicle.arm()
     fly(vehicle, 15.0, up)
     assert height_m(vehicle) == pytest.approx(8.0, abs=1.0)
@@ -98,30 +98,30 @@ def test_lost_setpoints_return_the_vehicle_and_new_ones_bring_it_back(vehicle: A
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     fly(vehicle, 2.0, target)
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
     fly(vehicle, 0.85)
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
     fly(vehicle, 0.2)
-    assert vehicle.commander.mode is Mode.RTL
+    assert vehicle.commander.mode is Px4Mode.RTL
     assert vehicle.commander.is_in_failsafe
     fly(vehicle, 1.0, target)
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
     assert not vehicle.commander.is_in_failsafe
 
 
 def test_late_setpoints_are_awaited_in_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     mission = make_mission()
-    simulation = Simulation(mission, World(mission))
+    simulation = MockFlight(mission, World(mission))
     vehicle = simulation.autopilot
     fly(vehicle, 6.0)
     take_off(vehicle, 10.0)
     fly(vehicle, 1.0, hover(vehicle))
     vehicle.take_offboard(hover(vehicle))
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     clock = Clock()
-    monkeypatch.setattr("sim.simulation.time", clock)
+    monkeypatch.setattr("sim.flight.time", clock)
 
     def run(wall_s: float) -> float:
         """-> vehicle time that passes, while nothing is heard from the other program"""
@@ -132,7 +132,7 @@ def test_late_setpoints_are_awaited_in_real_time(monkeypatch: pytest.MonkeyPatch
         return vehicle.time_s - begun_at_s
 
     assert 0.7 < run(0.5) < 0.95  # 0.3 s at once, then 0.5 s as they pass
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
     run(0.4)
     assert vehicle.commander.is_in_failsafe
     assert run(0.5) == pytest.approx(10.0, abs=0.3)
@@ -140,13 +140,13 @@ def test_late_setpoints_are_awaited_in_real_time(monkeypatch: pytest.MonkeyPatch
 
 def test_on_the_ground_nothing_is_awaited() -> None:
     mission = make_mission()
-    simulation = Simulation(mission, World(mission))
+    simulation = MockFlight(mission, World(mission))
     vehicle = simulation.autopilot
     fly(vehicle, 6.0)
     vehicle.take_offboard(hover(vehicle))
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     fly(vehicle, 0.5)
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
     assert not vehicle.is_setpoint_late
 
 
@@ -167,28 +167,28 @@ def test_mode_change_in_the_failsafe_ends_it_for_good(vehicle: Autopilot) -> Non
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     fly(vehicle, 2.0)
-    assert vehicle.commander.mode is Mode.RTL
-    assert vehicle.request_mode(Mode.LOITER)
+    assert vehicle.commander.mode is Px4Mode.RTL
+    assert vehicle.request_mode(Px4Mode.LOITER)
     fly(vehicle, 1.0, target)
-    assert vehicle.commander.mode is Mode.LOITER
+    assert vehicle.commander.mode is Px4Mode.LOITER
 
 
 def test_loss_time_is_a_parameter(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
     vehicle.parameters.set("COM_OF_LOSS_T", 4.0)
     fly(vehicle, 0.5, hover(vehicle))
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     fly(vehicle, 3.5)
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
 
 
 def test_velocity_setpoint_is_flown(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
-    east = Setpoint(velocity=(0.0, 4.0, 0.0), yaw_rad=math.pi / 2.0)
+    east = TrajectorySetpoint(velocity=(0.0, 4.0, 0.0), yaw_rad=math.pi / 2.0)
     fly(vehicle, 0.3, east)
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     fly(vehicle, 8.0, east)
     assert vehicle.body.velocity[1] == pytest.approx(4.0, abs=0.3)
     assert vehicle.body.yaw == pytest.approx(math.pi / 2.0, abs=0.05)
@@ -200,7 +200,7 @@ def test_return_climbs_comes_home_lands_and_disarms(vehicle: Autopilot) -> None:
     assert vehicle.reposition(away, math.nan, 0.0)
     fly(vehicle, 15.0)
     assert vehicle.body.position[0] == pytest.approx(away[0], abs=1.0)
-    assert vehicle.request_mode(Mode.RTL)
+    assert vehicle.request_mode(Px4Mode.RTL)
     fly(vehicle, 15.0)
     assert height_m(vehicle) == pytest.approx(30.0, abs=1.0)
     fly(vehicle, 60.0)
@@ -220,7 +220,7 @@ def test_cruise_speed_is_a_parameter(vehicle: Autopilot) -> None:
 
 def test_landing_is_slow_near_the_ground_and_prevents_arming(vehicle: Autopilot) -> None:
     take_off(vehicle, 12.0)
-    assert vehicle.request_mode(Mode.LAND)
+    assert vehicle.request_mode(Px4Mode.LAND)
     while height_m(vehicle) > 3.0:
         fly(vehicle, 0.1)
     assert vehicle.body.velocity[2] == pytest.approx(0.7, abs=0.15)
@@ -228,7 +228,7 @@ def test_landing_is_slow_near_the_ground_and_prevents_arming(vehicle: Autopilot)
     assert vehicle.is_landed
     assert not vehicle.commander.is_armed
     assert not vehicle.arm()
-    assert vehicle.request_mode(Mode.LOITER)
+    assert vehicle.request_mode(Px4Mode.LOITER)
     assert vehicle.arm()
 
 
@@ -247,12 +247,12 @@ def test_critical_battery_holds_five_seconds_then_lands(vehicle: Autopilot) -> N
     fly(vehicle, 1.0)
     assert vehicle.commander.charge is Charge.LOW
     assert not vehicle.commander.is_in_failsafe
-    assert vehicle.request_mode(Mode.RTL)
+    assert vehicle.request_mode(Px4Mode.RTL)
     vehicle.battery_level = 0.06
     fly(vehicle, 4.5)
-    assert vehicle.commander.mode is Mode.LOITER
+    assert vehicle.commander.mode is Px4Mode.LOITER
     fly(vehicle, 1.0)
-    assert vehicle.commander.mode is Mode.LAND
+    assert vehicle.commander.mode is Px4Mode.LAND
 
 
 def test_battery_lasts_as_long_as_the_mission_says(vehicle: Autopilot) -> None:
@@ -266,27 +266,27 @@ def test_gps_loss_ends_offboard_until_it_returns(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     vehicle.has_gps = False
     fly(vehicle, 5.5, target)
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
     fly(vehicle, 10.0, target)
-    assert vehicle.commander.mode is Mode.ALTCTL
+    assert vehicle.commander.mode is Px4Mode.ALTCTL
     assert height_m(vehicle) == pytest.approx(10.0, abs=1.0)
     assert math.dist(vehicle.estimate.position[:2], vehicle.body.position[:2]) > 5.0
     vehicle.has_gps = True
     fly(vehicle, 0.5, target)
-    assert vehicle.commander.mode is Mode.OFFBOARD
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
 
 
 def test_pilot_holds_against_setpoints(vehicle: Autopilot) -> None:
     take_off(vehicle, 10.0)
     target = hover(vehicle)
     fly(vehicle, 0.5, target)
-    assert vehicle.request_mode(Mode.OFFBOARD)
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
     vehicle.commander.take_over()
-    fly(vehicle, 5.0, Setpoint(velocity=(5.0, 0.0, 0.0)))
-    assert vehicle.commander.mode is Mode.POSCTL
+    fly(vehicle, 5.0, TrajectorySetpoint(velocity=(5.0, 0.0, 0.0)))
+    assert vehicle.commander.mode is Px4Mode.POSCTL
     assert math.dist(vehicle.body.position[:2], target.position[:2]) < 2.0
 
 
@@ -306,7 +306,7 @@ def test_same_seed_flies_the_same(vehicle: Autopilot) -> None:
     mission = make_mission(simulation={"seed": 10_001, "wind_m_s": 5.0})
     ends = []
     for _ in range(2):
-        autopilot = Simulation(mission, World(mission)).autopilot
+        autopilot = MockFlight(mission, World(mission)).autopilot
         fly(autopilot, 6.0)
         take_off(autopilot, 10.0)
         ends.append((*autopilot.body.position, *autopilot.estimate.position))

@@ -14,8 +14,8 @@ from ground_station import FAULTLESS, GroundStation, make_mission
 from pymavlink.dialects.v20 import common as mavlink
 
 from sim.faults import Fault, parse_fault
-from sim.modes import Mode
-from sim.simulation import HOME_NED_M, Simulation
+from sim.flight import HOME_NED_M, MockFlight
+from sim.modes import Px4Mode
 from sim.world import World
 
 Story = Callable[[GroundStation], Awaitable[None]]
@@ -36,7 +36,7 @@ def with_station() -> Run:
         mission = make_mission()
 
         async def tell() -> None:
-            station = GroundStation(Simulation(mission, World(mission), faults))
+            station = GroundStation(MockFlight(mission, World(mission), faults))
             await station.open()
             try:
                 await station.fly(6.0)
@@ -122,7 +122,7 @@ def test_mode_change_is_acknowledged_twice(with_station: Run) -> None:
             mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
         ]
         await station.fly(1.1)
-        assert mode(station) == Mode.LOITER
+        assert mode(station) == Px4Mode.LOITER
 
     with_station(story)
 
@@ -132,7 +132,7 @@ def test_offboard_on_the_ground_is_accepted_but_arming_is_not(with_station: Run)
         assert await station.command(SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
         assert await station.command(ARM, 1.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
         await station.fly(1.1)
-        assert mode(station) == Mode.OFFBOARD
+        assert mode(station) == Px4Mode.OFFBOARD
 
     with_station(story)
 
@@ -401,7 +401,7 @@ def test_faults_begin_and_end_after_arming(with_station: Run) -> None:
         assert max(gaps) == pytest.approx(3000, abs=60)
         assert await station.command(ARM, 0.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
         await station.fly(2.0)
-        assert mode(station) == Mode.POSCTL
+        assert mode(station) == Px4Mode.POSCTL
 
     faults = ("silence@22+3", "reject@26", "pilot@28")
     with_station(story, tuple(parse_fault(text) for text in faults))

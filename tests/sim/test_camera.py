@@ -12,8 +12,10 @@ import pytest
 from dronemon.frames import AreaFrame, ground_to_pixel, pixel_to_ground
 from dronemon.mission.schema import APPEARANCES
 from dronemon.types import CameraModel, Pose
-from sim.animals import drawn_size_m
-from sim.camera import Animal, CameraServer, Renderer, Scene
+from sim.camera import CameraServer
+from sim.renderer import Renderer
+from sim.scene import Animal, Scene
+from sim.sprites import drawn_size_m
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 SEED = 10_300

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dronemon.frames import body_to_ned
-from sim.control import PositionController, Setpoint
+from sim.control import PositionController, TrajectorySetpoint
 from sim.dynamics import GRAVITY_M_S2, Quadrotor, Wind
 from sim.estimator import Estimator
 from sim.parameters import Parameters
@@ -30,7 +30,7 @@ class Flight:
         self.control = PositionController(Parameters())
         self.yaw_rad = yaw_rad
 
-    def fly(self, setpoint: Setpoint, seconds: float) -> list[tuple[float, ...]]:
+    def fly(self, setpoint: TrajectorySetpoint, seconds: float) -> list[tuple[float, ...]]:
         """-> north, east, down, speed, pitch, roll at each step."""
         track = []
         body = self.body
@@ -44,8 +44,8 @@ class Flight:
         return track
 
 
-def at(north: float, east: float, down: float = 0.0) -> Setpoint:
-    return Setpoint(position=(north, east, down), yaw_rad=0.0)
+def at(north: float, east: float, down: float = 0.0) -> TrajectorySetpoint:
+    return TrajectorySetpoint(position=(north, east, down), yaw_rad=0.0)
 
 
 def test_position_setpoint_is_reached_with_little_overshoot() -> None:
@@ -75,7 +75,7 @@ def test_tilt_is_relative_to_the_nose() -> None:
 
 def test_acceleration_is_what_thrust_along_the_body_gives() -> None:
     flight = Flight(yaw_rad=0.7)
-    flight.fly(Setpoint(position=(20.0, -9.0, -5.0), yaw_rad=0.7), 0.6)
+    flight.fly(TrajectorySetpoint(position=(20.0, -9.0, -5.0), yaw_rad=0.7), 0.6)
     body = flight.body
     thrust = body_to_ned((body.roll, body.pitch, body.yaw)) @ [0.0, 0.0, -body.thrust_m_s2]
     drag = -0.15 * np.array(body.velocity)
@@ -94,7 +94,7 @@ def test_hover_in_wind_leans_into_it_and_stays() -> None:
 def test_carrot_with_velocity_feed_forward_keeps_cruise_speed() -> None:
     flight, track = Flight(), []
     for i in range(400):
-        carrot = Setpoint(position=(5.0 * i * 0.05, 0.0, 0.0), velocity=(5.0, 0.0, 0.0))
+        carrot = TrajectorySetpoint(position=(5.0 * i * 0.05, 0.0, 0.0), velocity=(5.0, 0.0, 0.0))
         track += flight.fly(carrot, 0.05)
     assert track[-1][3] == pytest.approx(5.0, rel=0.03)
 

@@ -10,10 +10,10 @@ import pytest
 from ground_station import GroundStation, make_mission
 
 from sim.camera import CameraServer
+from sim.flight import MockFlight
 from sim.follow import Follower, parse_udpin
-from sim.modes import Mode
+from sim.modes import Px4Mode
 from sim.scene import Scene
-from sim.simulation import Simulation
 from sim.world import World
 
 
@@ -26,7 +26,7 @@ class Shutter:
 async def follow_a_flight(scenes: list[tuple[Scene, Scene]]) -> None:
     """Collects what is seen in truth and by the follower, from take-off on."""
     mission = make_mission(simulation={"seed": 10_004, "wind_m_s": 4.0})
-    simulation = Simulation(mission, World(mission))
+    simulation = MockFlight(mission, World(mission))
     station, camera = GroundStation(simulation), Shutter()
     async with Follower(World(mission), ("127.0.0.1", 0)) as follower:
         await simulation.open_links([follower.address])
@@ -41,7 +41,7 @@ async def follow_a_flight(scenes: list[tuple[Scene, Scene]]) -> None:
         assert not camera.silent
         simulation.autopilot.parameters.set("MIS_TAKEOFF_ALT", 15.0)
         assert simulation.autopilot.arm()
-        assert simulation.autopilot.request_mode(Mode.TAKEOFF)
+        assert simulation.autopilot.request_mode(Px4Mode.TAKEOFF)
         for _ in range(6):
             await station.fly(5.0)
             scenes.append((simulation.scene(), follower.scene()))

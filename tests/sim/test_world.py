@@ -11,8 +11,8 @@ from ground_station import make_mission
 
 from dronemon.frames import GeoPoint, ned_to_geo
 from sim.faults import Fault, FaultSchedule, parse_fault
+from sim.flight import HOME_NED_M, MockFlight
 from sim.geodesy import LocalMap
-from sim.simulation import HOME_NED_M, Simulation
 from sim.world import TruthFile, World
 
 ORIGIN = GeoPoint(latitude_deg=47.0, longitude_deg=8.0, altitude_m=400.0)
@@ -31,7 +31,7 @@ def test_targets_walk_at_the_speed_ratio() -> None:
 
 def test_animals_face_where_they_walk() -> None:
     world = World(make_mission(area={"heading_deg": 30.0}))
-    simulation = Simulation(make_mission(), world)
+    simulation = MockFlight(make_mission(), world)
     frame = world.frame(HOME_NED_M, ORIGIN)
     pose = simulation.autopilot.body.pose(1.0)
     world.scene(pose, frame)
@@ -47,7 +47,7 @@ def test_animals_face_where_they_walk() -> None:
 def test_animals_rest_until_the_first_picture() -> None:
     mission = make_mission()
     world = World(mission)
-    simulation = Simulation(mission, world)
+    simulation = MockFlight(mission, world)
     for _ in range(700):
         simulation.step()
     at_rest = simulation.scene()
@@ -75,7 +75,7 @@ def test_area_is_around_home_or_its_coordinates() -> None:
 
 def test_mock_stands_at_the_areas_coordinates() -> None:
     mission = make_mission(area={"latitude_deg": -33.9, "longitude_deg": 18.4})
-    autopilot = Simulation(mission, World(mission)).autopilot
+    autopilot = MockFlight(mission, World(mission)).autopilot
     latitude, longitude, _ = autopilot.map.to_geo(autopilot.body.position)
     assert (latitude, longitude) == pytest.approx((-33.9, 18.4), abs=1e-6)
 
@@ -93,7 +93,7 @@ def test_local_map_agrees_with_the_exact_one() -> None:
 
 def test_truth_file_has_a_line_for_each_scene(tmp_path: Path) -> None:
     mission = make_mission()
-    simulation = Simulation(mission, World(mission))
+    simulation = MockFlight(mission, World(mission))
     path = tmp_path / "truth.jsonl"
     with TruthFile(path) as truth:
         truth.write(simulation.scene())

@@ -11,9 +11,10 @@ from dronemon.frames import AreaFrame, pixel_to_ground
 from dronemon.mission.schema import APPEARANCES
 from dronemon.types import CameraModel, Pose
 from dronemon.vision import Detector
-from dronemon.vision.looks import ENLARGEMENT
-from sim.animals import DRAWN_SCALE
-from sim.camera import Animal, Renderer, Scene
+from dronemon.vision.prototypes import ENLARGEMENT
+from sim.renderer import Renderer
+from sim.scene import Animal, Scene
+from sim.sprites import DRAWN_SCALE
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 GROUND_DOWN_M = -2.5

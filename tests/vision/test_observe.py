@@ -9,7 +9,8 @@ from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.mission.schema import APPEARANCES
 from dronemon.types import CameraModel, Detection, Pose
 from dronemon.vision import Detector, observe
-from sim.camera import Animal, Renderer, Scene
+from sim.renderer import Renderer
+from sim.scene import Animal, Scene
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 FRAME = AreaFrame(

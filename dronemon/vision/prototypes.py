@@ -1,7 +1,7 @@
 """What the detector knows about animals and ground: colours, sizes and coats, seen from above.
 
 The sizes are those of real animals; ENLARGEMENT says how much larger the simulated ones are drawn.
-`python benchmarks/vision.py --measure` prints the numbers of LOOKS for the simulated animals.
+`python benchmarks/vision.py --measure` prints the numbers of PROTOTYPES for the simulated animals.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ STONE_SHADES = (0.75, 1.0, 1.15)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class Prototype:
     """One kind of animal from above.
 
     length_m, width_m: four standard deviations of its area along and across its main axis.
@@ -67,57 +67,57 @@ class Look:
         return np.concatenate([size_m, np.full(5, 0.07), [0.3 + 0.15 * self.bands]])
 
 
-LOOKS = {
-    "cow": Look(
+PROTOTYPES = {
+    "cow": Prototype(
         length_m=2.19,
         width_m=0.78,
         coat=(0.41, 0.59, 0.00, 0.00, 0.00),
         bands=3.5,
         trunk_height_m=0.91,
     ),
-    "deer": Look(
+    "deer": Prototype(
         length_m=1.79,
         width_m=0.46,
         coat=(0.00, 0.13, 0.00, 0.87, 0.00),
         bands=1.6,
         trunk_height_m=0.65,
     ),
-    "fox": Look(
+    "fox": Prototype(
         length_m=1.35,
         width_m=0.33,
         coat=(0.00, 0.10, 0.61, 0.26, 0.03),
         bands=1.6,
         trunk_height_m=0.29,
     ),
-    "horse": Look(
+    "horse": Prototype(
         length_m=2.45,
         width_m=0.65,
         coat=(0.05, 0.00, 0.00, 0.01, 0.94),
         bands=1.4,
         trunk_height_m=1.00,
     ),
-    "panda": Look(
+    "panda": Prototype(
         length_m=1.75,
         width_m=0.93,
         coat=(0.31, 0.69, 0.00, 0.00, 0.00),
         bands=2.4,
         trunk_height_m=0.49,
     ),
-    "sheep": Look(
+    "sheep": Prototype(
         length_m=1.38,
         width_m=0.60,
         coat=(0.07, 0.93, 0.00, 0.00, 0.00),
         bands=1.3,
         trunk_height_m=0.52,
     ),
-    "tiger": Look(
+    "tiger": Prototype(
         length_m=2.32,
         width_m=0.72,
         coat=(0.00, 0.00, 0.61, 0.38, 0.01),
         bands=6.0,
         trunk_height_m=0.62,
     ),
-    "zebra": Look(
+    "zebra": Prototype(
         length_m=2.15,
         width_m=0.58,
         coat=(0.41, 0.59, 0.00, 0.00, 0.00),

@@ -30,13 +30,14 @@ _TIGER = (0.12, 0.50, 0.96)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Form:
-    """The shape of one kind of animal from above, in real metres.
+class Species:
+    """One kind of animal from above, in real metres; the x origin may be anywhere."""
 
-    outline_m: (x, half width) from rump to nose; the x origin may be anywhere, sprites centre it.
-    """
-
-    outline_m: tuple[tuple[float, float], ...]
+    coat: Coat
+    outline_x_m: tuple[float, ...]
+    """From rump to nose."""
+    half_width_m: tuple[float, ...]
+    """Of the trunk, at each x of the outline."""
     back_height_m: float
     legs_m: tuple[float, float, float, float]
     """x of the hind and of the fore legs, half their distance, and their radius."""
@@ -50,6 +51,18 @@ class Form:
     """x, half their distance, radius."""
     ear_colour: tuple[float, float, float]
     has_antlers: bool = False
+
+    @property
+    def centre_x_m(self) -> float:
+        """Centre of the outline's area."""
+        x, half_width = np.array(self.outline_x_m), np.array(self.half_width_m)
+        return float(np.trapezoid(x * half_width, x) / np.trapezoid(half_width, x))
+
+    @property
+    def half_length_m(self) -> float:
+        """From the centre to the nose or the tip of the tail, whichever is further."""
+        rump_m, nose_m = self.outline_x_m[0], self.outline_x_m[-1]
+        return max(nose_m - self.centre_x_m, self.centre_x_m - rump_m + self.tail_m[0])
 
 
 def _plain(x: Field, colour: tuple[float, float, float]) -> Field:
@@ -114,31 +127,11 @@ def _zebra(x: Field, y: Field) -> Field:
     return _mix(coat, _BLACK, 20.0 * (x - 1.12))
 
 
-COATS: dict[str, Coat] = {
-    "cow": _cow,
-    "deer": _deer,
-    "fox": _fox,
-    "horse": _horse,
-    "panda": _panda,
-    "sheep": _sheep,
-    "tiger": _tiger,
-    "zebra": _zebra,
-}
-
-FORMS: dict[str, Form] = {
-    "cow": Form(
-        outline_m=(
-            (-0.95, 0.10),
-            (-0.85, 0.27),
-            (-0.5, 0.33),
-            (0.0, 0.38),
-            (0.45, 0.31),
-            (0.70, 0.18),
-            (0.85, 0.15),
-            (1.0, 0.16),
-            (1.2, 0.10),
-            (1.3, 0.06),
-        ),
+SPECIES: dict[str, Species] = {
+    "cow": Species(
+        coat=_cow,
+        outline_x_m=(-0.95, -0.85, -0.5, 0.0, 0.45, 0.70, 0.85, 1.0, 1.2, 1.3),
+        half_width_m=(0.10, 0.27, 0.33, 0.38, 0.31, 0.18, 0.15, 0.16, 0.10, 0.06),
         back_height_m=1.4,
         legs_m=(-0.65, 0.45, 0.28, 0.07),
         stride_m=1.3,
@@ -148,19 +141,10 @@ FORMS: dict[str, Form] = {
         ears_m=(0.93, 0.20, 0.06),
         ear_colour=_BLACK,
     ),
-    "deer": Form(
-        outline_m=(
-            (-0.70, 0.08),
-            (-0.60, 0.19),
-            (-0.3, 0.22),
-            (0.05, 0.22),
-            (0.35, 0.17),
-            (0.50, 0.09),
-            (0.72, 0.08),
-            (0.82, 0.10),
-            (0.98, 0.07),
-            (1.08, 0.04),
-        ),
+    "deer": Species(
+        coat=_deer,
+        outline_x_m=(-0.70, -0.60, -0.3, 0.05, 0.35, 0.50, 0.72, 0.82, 0.98, 1.08),
+        half_width_m=(0.08, 0.19, 0.22, 0.22, 0.17, 0.09, 0.08, 0.10, 0.07, 0.04),
         back_height_m=1.0,
         legs_m=(-0.45, 0.30, 0.16, 0.045),
         stride_m=1.1,
@@ -171,17 +155,10 @@ FORMS: dict[str, Form] = {
         ear_colour=_TAN,
         has_antlers=True,
     ),
-    "fox": Form(
-        outline_m=(
-            (-0.40, 0.07),
-            (-0.32, 0.13),
-            (0.0, 0.14),
-            (0.18, 0.13),
-            (0.28, 0.10),
-            (0.38, 0.11),
-            (0.46, 0.07),
-            (0.56, 0.03),
-        ),
+    "fox": Species(
+        coat=_fox,
+        outline_x_m=(-0.40, -0.32, 0.0, 0.18, 0.28, 0.38, 0.46, 0.56),
+        half_width_m=(0.07, 0.13, 0.14, 0.13, 0.10, 0.11, 0.07, 0.03),
         back_height_m=0.45,
         legs_m=(-0.25, 0.18, 0.11, 0.035),
         stride_m=0.6,
@@ -191,20 +168,10 @@ FORMS: dict[str, Form] = {
         ears_m=(0.34, 0.10, 0.045),
         ear_colour=_BLACK,
     ),
-    "horse": Form(
-        outline_m=(
-            (-1.0, 0.12),
-            (-0.88, 0.27),
-            (-0.55, 0.31),
-            (-0.1, 0.28),
-            (0.3, 0.29),
-            (0.55, 0.20),
-            (0.75, 0.12),
-            (1.0, 0.10),
-            (1.2, 0.11),
-            (1.4, 0.07),
-            (1.5, 0.05),
-        ),
+    "horse": Species(
+        coat=_horse,
+        outline_x_m=(-1.0, -0.88, -0.55, -0.1, 0.3, 0.55, 0.75, 1.0, 1.2, 1.4, 1.5),
+        half_width_m=(0.12, 0.27, 0.31, 0.28, 0.29, 0.20, 0.12, 0.10, 0.11, 0.07, 0.05),
         back_height_m=1.55,
         legs_m=(-0.70, 0.40, 0.24, 0.06),
         stride_m=1.7,
@@ -214,19 +181,10 @@ FORMS: dict[str, Form] = {
         ears_m=(1.08, 0.09, 0.045),
         ear_colour=_CHESTNUT,
     ),
-    "panda": Form(
-        outline_m=(
-            (-0.75, 0.12),
-            (-0.62, 0.32),
-            (-0.25, 0.40),
-            (0.1, 0.37),
-            (0.38, 0.28),
-            (0.48, 0.21),
-            (0.60, 0.25),
-            (0.75, 0.22),
-            (0.88, 0.12),
-            (0.95, 0.06),
-        ),
+    "panda": Species(
+        coat=_panda,
+        outline_x_m=(-0.75, -0.62, -0.25, 0.1, 0.38, 0.48, 0.60, 0.75, 0.88, 0.95),
+        half_width_m=(0.12, 0.32, 0.40, 0.37, 0.28, 0.21, 0.25, 0.22, 0.12, 0.06),
         back_height_m=0.75,
         legs_m=(-0.45, 0.32, 0.36, 0.12),
         stride_m=0.8,
@@ -236,18 +194,10 @@ FORMS: dict[str, Form] = {
         ears_m=(0.56, 0.22, 0.09),
         ear_colour=_BLACK,
     ),
-    "sheep": Form(
-        outline_m=(
-            (-0.62, 0.12),
-            (-0.52, 0.26),
-            (-0.25, 0.31),
-            (0.1, 0.31),
-            (0.35, 0.25),
-            (0.48, 0.14),
-            (0.60, 0.12),
-            (0.72, 0.09),
-            (0.80, 0.05),
-        ),
+    "sheep": Species(
+        coat=_sheep,
+        outline_x_m=(-0.62, -0.52, -0.25, 0.1, 0.35, 0.48, 0.60, 0.72, 0.80),
+        half_width_m=(0.12, 0.26, 0.31, 0.31, 0.25, 0.14, 0.12, 0.09, 0.05),
         back_height_m=0.8,
         legs_m=(-0.40, 0.28, 0.22, 0.05),
         stride_m=0.8,
@@ -257,18 +207,10 @@ FORMS: dict[str, Form] = {
         ears_m=(0.55, 0.15, 0.05),
         ear_colour=_BLACK,
     ),
-    "tiger": Form(
-        outline_m=(
-            (-0.80, 0.10),
-            (-0.70, 0.20),
-            (-0.35, 0.23),
-            (0.1, 0.22),
-            (0.45, 0.23),
-            (0.62, 0.16),
-            (0.75, 0.17),
-            (0.90, 0.14),
-            (1.02, 0.07),
-        ),
+    "tiger": Species(
+        coat=_tiger,
+        outline_x_m=(-0.80, -0.70, -0.35, 0.1, 0.45, 0.62, 0.75, 0.90, 1.02),
+        half_width_m=(0.10, 0.20, 0.23, 0.22, 0.23, 0.16, 0.17, 0.14, 0.07),
         back_height_m=0.95,
         legs_m=(-0.50, 0.42, 0.20, 0.075),
         stride_m=1.2,
@@ -278,20 +220,10 @@ FORMS: dict[str, Form] = {
         ears_m=(0.72, 0.14, 0.05),
         ear_colour=_BLACK,
     ),
-    "zebra": Form(
-        outline_m=(
-            (-0.95, 0.12),
-            (-0.82, 0.26),
-            (-0.5, 0.30),
-            (-0.1, 0.28),
-            (0.25, 0.28),
-            (0.50, 0.19),
-            (0.70, 0.12),
-            (0.92, 0.10),
-            (1.08, 0.11),
-            (1.25, 0.07),
-            (1.32, 0.05),
-        ),
+    "zebra": Species(
+        coat=_zebra,
+        outline_x_m=(-0.95, -0.82, -0.5, -0.1, 0.25, 0.50, 0.70, 0.92, 1.08, 1.25, 1.32),
+        half_width_m=(0.12, 0.26, 0.30, 0.28, 0.28, 0.19, 0.12, 0.10, 0.11, 0.07, 0.05),
         back_height_m=1.35,
         legs_m=(-0.65, 0.38, 0.22, 0.055),
         stride_m=1.5,
@@ -302,4 +234,4 @@ FORMS: dict[str, Form] = {
         ear_colour=_BLACK,
     ),
 }
-assert set(FORMS) == set(COATS) == set(APPEARANCES)
+assert set(SPECIES) == set(APPEARANCES)

@@ -18,7 +18,7 @@ _TYPES = (
 )
 
 
-class Plans:
+class MissionStore:
     """What is stored: the items of each mission type, and the mission's current item."""
 
     def __init__(self) -> None:
@@ -35,11 +35,11 @@ class _Upload:
     items: list[Any]
 
 
-class PlanService:
+class MissionProtocol:
     """One link's side of the mission protocol; `answer` gives the replies to a message."""
 
-    def __init__(self, plans: Plans) -> None:
-        self._plans = plans
+    def __init__(self, store: MissionStore) -> None:
+        self._store = store
         self._upload: _Upload | None = None
 
     def answer(self, message: Any) -> list[Any]:
@@ -57,12 +57,12 @@ class PlanService:
         return [] if handler is None else handler(message)
 
     def _begin_upload(self, message: Any) -> list[Any]:
-        if message.mission_type not in self._plans.items:
-            return [_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
+        if message.mission_type not in self._store.items:
+            return [_mission_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
         if message.count > MAX_ITEMS:
-            return [_ack(message, mavlink.MAV_MISSION_NO_SPACE)]
+            return [_mission_ack(message, mavlink.MAV_MISSION_NO_SPACE)]
         if message.count == 0:
-            return self._store(message, [])
+            return self._finish(message, [])
         self._upload = _Upload(mission_type=message.mission_type, count=message.count, items=[])
         return [_request(message, 0)]
 
@@ -70,35 +70,35 @@ class PlanService:
         """Take the next item; a repeated one is answered with the request for the next again."""
         upload = self._upload
         if upload is None:
-            stored = self._plans.items.get(message.mission_type, [])
+            stored = self._store.items.get(message.mission_type, [])
             is_repeat = message.seq == len(stored) - 1
             result = mavlink.MAV_MISSION_ACCEPTED if is_repeat else mavlink.MAV_MISSION_ERROR
-            return [_ack(message, result)]
+            return [_mission_ack(message, result)]
         if message.mission_type != upload.mission_type:
-            return [_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
+            return [_mission_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
         if message.seq == len(upload.items):
             upload.items.append(message)
         if len(upload.items) < upload.count:
             return [_request(message, len(upload.items))]
-        return self._store(message, upload.items)
+        return self._finish(message, upload.items)
 
-    def _store(self, message: Any, items: list[Any]) -> list[Any]:
+    def _finish(self, message: Any, items: list[Any]) -> list[Any]:
         self._upload = None
-        self._plans.items[message.mission_type] = items
+        self._store.items[message.mission_type] = items
         if message.mission_type == mavlink.MAV_MISSION_TYPE_MISSION:
-            self._plans.current = 0
-        return [_ack(message, mavlink.MAV_MISSION_ACCEPTED)]
+            self._store.current = 0
+        return [_mission_ack(message, mavlink.MAV_MISSION_ACCEPTED)]
 
     def _send_count(self, message: Any) -> list[Any]:
-        if message.mission_type not in self._plans.items:
-            return [_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
-        count = len(self._plans.items[message.mission_type])
+        if message.mission_type not in self._store.items:
+            return [_mission_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
+        count = len(self._store.items[message.mission_type])
         return [mavlink.MAVLink_mission_count_message(*_to(message), count, message.mission_type)]
 
     def _send_item(self, message: Any) -> list[Any]:
-        items = self._plans.items.get(message.mission_type, [])
+        items = self._store.items.get(message.mission_type, [])
         if message.seq >= len(items):
-            return [_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
+            return [_mission_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
         i = items[message.seq]
         return [
             mavlink.MAVLink_mission_item_int_message(
@@ -106,7 +106,7 @@ class PlanService:
                 i.seq,
                 i.frame,
                 i.command,
-                int(i.seq == self._plans.current),
+                int(i.seq == self._store.current),
                 i.autocontinue,
                 i.param1,
                 i.param2,
@@ -122,19 +122,19 @@ class PlanService:
     def _clear(self, message: Any) -> list[Any]:
         self._upload = None
         if message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
-            for items in self._plans.items.values():
+            for items in self._store.items.values():
                 items.clear()
-        elif message.mission_type in self._plans.items:
-            self._plans.items[message.mission_type] = []
+        elif message.mission_type in self._store.items:
+            self._store.items[message.mission_type] = []
         else:
-            return [_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
-        return [_ack(message, mavlink.MAV_MISSION_ACCEPTED)]
+            return [_mission_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
+        return [_mission_ack(message, mavlink.MAV_MISSION_ACCEPTED)]
 
     def _set_current(self, message: Any) -> list[Any]:
-        count = len(self._plans.items[mavlink.MAV_MISSION_TYPE_MISSION])
+        count = len(self._store.items[mavlink.MAV_MISSION_TYPE_MISSION])
         if message.seq < count:
-            self._plans.current = message.seq
-        return [mavlink.MAVLink_mission_current_message(self._plans.current, count)]
+            self._store.current = message.seq
+        return [mavlink.MAVLink_mission_current_message(self._store.current, count)]
 
 
 def _to(message: Any) -> tuple[int, int]:
@@ -142,7 +142,7 @@ def _to(message: Any) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()
 
 
-def _ack(message: Any, result: int) -> Any:
+def _mission_ack(message: Any, result: int) -> Any:
     return mavlink.MAVLink_mission_ack_message(*_to(message), result, message.mission_type)
 
 

@@ -35,7 +35,7 @@ def _stream(mission: Mission, name: str) -> random.Random:
     return random.Random(int(named_stream(mission.simulation.seed, name).integers(2**63)))
 
 
-class Simulation:
+class MockFlight:
     """A mission's mock vehicle in its world."""
 
     def __init__(self, mission: Mission, world: World, faults: tuple[Fault, ...] = ()) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from dronemon.types import ImageArray
-from sim.forms import COATS, FORMS, Coat, Field, Form
+from sim.species import SPECIES, Field, Species
 
 DRAWN_SCALE = 1.8
 """Drawn length over real length, the same for every animal."""
@@ -49,33 +49,28 @@ class Sprite:
 @cache
 def draw_sprites(appearance: str) -> tuple[Sprite, ...]:
     """The NUM_PHASES sprites of one stride."""
-    form, coat = FORMS[appearance], COATS[appearance]
-    canvas = _Canvas.around(form)
-    return tuple(_draw(form, coat, canvas, i / NUM_PHASES) for i in range(NUM_PHASES))
+    species = SPECIES[appearance]
+    canvas = _Canvas.around(species)
+    return tuple(_draw_sprite(species, canvas, i / NUM_PHASES) for i in range(NUM_PHASES))
 
 
 def stride_m(appearance: str) -> float:
     """Ground covered in one stride, as drawn."""
-    return FORMS[appearance].stride_m * DRAWN_SCALE
+    return SPECIES[appearance].stride_m * DRAWN_SCALE
 
 
 def drawn_size_m(appearance: str) -> tuple[float, float, float]:
     """Length from nose to tail, both legs' and ears' width, and height of the trunk, as drawn."""
-    form = FORMS[appearance]
-    x, half_width = np.array(form.outline_m).T
-    centre = _centre_m(form)
-    length = 2.0 * max(x.max() - centre, centre - x.min() + form.tail_m[0])
-    width = 2.0 * max(
-        half_width.max(), _ANTLERS_M if form.has_antlers else 0.0, form.legs_m[2] + 0.1
-    )
-    height = _TRUNK_HEIGHT * form.back_height_m
+    species = SPECIES[appearance]
+    length = 2.0 * species.half_length_m
+    width = 2.0 * max(_half_breadth_m(species), species.legs_m[2] + 0.1)
+    height = _TRUNK_HEIGHT * species.back_height_m
     return length * DRAWN_SCALE, width * DRAWN_SCALE, height * DRAWN_SCALE
 
 
-def _centre_m(form: Form) -> float:
-    """Centre of area of the outline along x."""
-    x, half_width = np.array(form.outline_m).T
-    return float(np.trapezoid(x * half_width, x) / np.trapezoid(half_width, x))
+def _half_breadth_m(species: Species) -> float:
+    """Of the trunk or the antlers."""
+    return max(*species.half_width_m, _ANTLERS_M if species.has_antlers else 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,17 +82,15 @@ class _Canvas:
     px_per_m: float
 
     @staticmethod
-    def around(form: Form) -> _Canvas:
+    def around(species: Species) -> _Canvas:
         """Large enough for the whole animal, its outline's centre of area in the middle."""
-        x, half_width = np.array(form.outline_m).T
-        centre_m = _centre_m(form)
-        reach = max(x.max() - centre_m, centre_m - x.min() + form.tail_m[0]) + _MARGIN_M
-        breadth = max(half_width.max(), _ANTLERS_M if form.has_antlers else 0.0) + _MARGIN_M
+        reach = species.half_length_m + _MARGIN_M
+        breadth = _half_breadth_m(species) + _MARGIN_M
         px_per_m = SPRITE_PX_PER_M * DRAWN_SCALE
         multiple = 2**NUM_LEVELS
         columns = math.ceil(reach * px_per_m / multiple) * multiple
         rows = math.ceil(breadth * px_per_m / multiple) * multiple
-        axis_x = (np.arange(-columns, columns) + 0.5) / px_per_m + centre_m
+        axis_x = (np.arange(-columns, columns) + 0.5) / px_per_m + species.centre_x_m
         axis_y = (np.arange(-rows, rows) + 0.5) / px_per_m
         grid_y, grid_x = np.meshgrid(axis_y, axis_x, indexing="ij")
         return _Canvas(x=grid_x.astype(np.float32), y=grid_y.astype(np.float32), px_per_m=px_per_m)
@@ -145,38 +138,39 @@ class _Layer:
         return tuple(images)
 
 
-def _draw(form: Form, coat: Coat, canvas: _Canvas, phase: float) -> Sprite:
+def _draw_sprite(species: Species, canvas: _Canvas, phase: float) -> Sprite:
     swing = math.sin(2.0 * math.pi * phase)
     legs, body = _Layer(canvas), _Layer(canvas)
-    _draw_legs(legs, form, canvas, phase)
+    _draw_legs(legs, species, canvas, phase)
 
     # The spine bends from side to side by a few centimetres with the stride.
     y = canvas.y - 0.02 * swing * np.sin(3.0 * canvas.x)
-    x_m, half_width_m = np.array(form.outline_m).T
-    _draw_tail(body, form, canvas, swing, x_m.min())
-    half_width = PchipInterpolator(x_m, half_width_m)(np.clip(canvas.x, x_m[0], x_m[-1]))
-    ends = np.minimum(canvas.x - x_m.min(), x_m.max() - canvas.x)
+    _draw_tail(body, species, canvas, swing)
+    x_m = np.array(species.outline_x_m)
+    outline = PchipInterpolator(x_m, species.half_width_m)
+    half_width = outline(np.clip(canvas.x, x_m[0], x_m[-1]))
+    ends = np.minimum(canvas.x - x_m[0], x_m[-1] - canvas.x)
     roundness = np.clip(1.0 - (y / np.maximum(half_width, 1e-3)) ** 2, 0.0, 1.0)
     shade = (0.72 + 0.30 * np.sqrt(roundness))[..., None]
-    colour = np.clip(coat(canvas.x, y) * shade, 0.0, 1.0)
+    colour = np.clip(species.coat(canvas.x, y) * shade, 0.0, 1.0)
     body.paint(canvas.inside(np.minimum(half_width - np.abs(y), ends)), colour)
 
-    ear_x, ear_y, ear_radius = form.ears_m
+    ear_x, ear_y, ear_radius = species.ears_m
     for side in (-1.0, 1.0):
-        body.paint(canvas.disc(ear_x, side * ear_y, ear_radius), form.ear_colour)
-        if form.has_antlers:
+        body.paint(canvas.disc(ear_x, side * ear_y, ear_radius), species.ear_colour)
+        if species.has_antlers:
             _draw_antler(body, canvas, ear_x, side)
     return Sprite(
         legs=legs.images(),
         body=body.images(),
-        body_height_m=_TRUNK_HEIGHT * form.back_height_m * DRAWN_SCALE,
+        body_height_m=_TRUNK_HEIGHT * species.back_height_m * DRAWN_SCALE,
     )
 
 
-def _draw_legs(layer: _Layer, form: Form, canvas: _Canvas, phase: float) -> None:
+def _draw_legs(layer: _Layer, species: Species, canvas: _Canvas, phase: float) -> None:
     """Four legs in the order of a walk: each a quarter of a stride after the one before."""
-    hind_x, fore_x, half_distance, radius = form.legs_m
-    reach = 0.25 * form.stride_m
+    hind_x, fore_x, half_distance, radius = species.legs_m
+    reach = 0.25 * species.stride_m
     for x, side, lag in (
         (hind_x, -1, 0.0),
         (fore_x, -1, 0.25),
@@ -185,12 +179,12 @@ def _draw_legs(layer: _Layer, form: Form, canvas: _Canvas, phase: float) -> None
     ):
         foot = x + reach * math.sin(2.0 * math.pi * (phase - lag))
         y = side * half_distance
-        layer.paint(canvas.capsule((x, 0.8 * y), (foot, y), radius), form.leg_colour)
+        layer.paint(canvas.capsule((x, 0.8 * y), (foot, y), radius), species.leg_colour)
 
 
-def _draw_tail(layer: _Layer, form: Form, canvas: _Canvas, swing: float, rump_m: float) -> None:
-    length, radius = form.tail_m
-    root, tip = form.tail_colours
+def _draw_tail(layer: _Layer, species: Species, canvas: _Canvas, swing: float) -> None:
+    rump_m, (length, radius) = species.outline_x_m[0], species.tail_m
+    root, tip = species.tail_colours
     middle = (rump_m - 0.65 * length, 0.10 * length * swing)
     end = (rump_m - length, -0.18 * length * swing)
     layer.paint(canvas.capsule((rump_m + 0.05, 0.0), middle, radius), root)
