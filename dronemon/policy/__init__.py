@@ -10,6 +10,8 @@ from dronemon.policy.checkpoint import (
     save_checkpoint,
     write_atomically,
 )
+from dronemon.policy.decoder import Verdict
+from dronemon.policy.encoders import TemporalEncoder
 from dronemon.policy.features import (
     Graphs,
     Segment,
@@ -18,13 +20,8 @@ from dronemon.policy.features import (
     pool_windows,
 )
 from dronemon.policy.history import History
-from dronemon.policy.network import (
-    NetworkConfig,
-    PolicyNetwork,
-    Projections,
-    TemporalEncoder,
-    Verdict,
-)
+from dronemon.policy.layers import NetworkConfig, Projections
+from dronemon.policy.network import PolicyNetwork
 from dronemon.policy.tracks import NUM_TRACK_FEATURES, Tracks
 
 __all__ = [

@@ -20,7 +20,8 @@ import torch
 from torch import Tensor
 
 from dronemon.errors import CheckpointMismatch, PolicyError
-from dronemon.policy.network import NetworkConfig, PolicyNetwork
+from dronemon.policy.layers import NetworkConfig
+from dronemon.policy.network import PolicyNetwork
 
 FORMAT = "dronemon policy 2"
 DEFAULT_HISTORY = 100
@@ -31,9 +32,12 @@ DEFAULT_HISTORY = 100
 class Card:
     """Where weights come from.
 
-    command: what trained them; commit: of the code; seeds: used in training and for choosing;
-    settings: of the recipe; curve: rows of training, one mapping each; scores: on development
-    seeds, of the weights kept.
+    command:  what trained them
+    commit:   of the code
+    seeds:    used in training and for choosing
+    settings: of the recipe
+    curve:    rows of training, one mapping each
+    scores:   on development seeds, of the weights kept
     """
 
     recipe: str

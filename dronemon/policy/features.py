@@ -63,9 +63,12 @@ def pool_windows(frames: Tensor, stride: int, first: int = 0) -> Tensor:
 class Graphs:
     """Roadmaps of B episodes, padded to the same V and k.
 
-    coordinates: (B, V, 2) float32 au; eigenvectors: (B, V, E) float32; neighbours: (B, V, k) int64;
-    neighbour_mask: (B, V, k) bool, true where a neighbour may be chosen; distances: (B, V, V)
-    float32 au along shortest paths; node_mask: (B, V) bool
+    coordinates:    (B, V, 2) float32 au
+    eigenvectors:   (B, V, E) float32
+    neighbours:     (B, V, k) int64
+    neighbour_mask: (B, V, k) bool       true where a neighbour may be chosen
+    distances:      (B, V, V) float32 au along shortest paths
+    node_mask:      (B, V)    bool
     """
 
     coordinates: Tensor
@@ -81,7 +84,10 @@ class Graphs:
     ) -> Graphs:
         """One roadmap as a batch of one; a node among its own neighbours is masked.
 
-        coordinates: (V, 2); eigenvectors: (V, E); neighbours: (V, k); distances: (V, V)
+        coordinates:  (V, 2)
+        eigenvectors: (V, E)
+        neighbours:   (V, k)
+        distances:    (V, V)
         """
         num_nodes = coordinates.shape[0]
         own = torch.arange(num_nodes, device=coordinates.device)
@@ -144,9 +150,11 @@ class Graphs:
 class Segment:
     """The first L decisions of B episodes, as the network sees them.
 
-    frames: (B, L, V, N, 4) float32 belief features; target_mask: (B, N) bool; flown: (B, L)
-    float32, the agent's trajectory length at each decision in units of `WINDOW_AU`; nodes:
-    (B, L) int64, the agent's node at each decision; tracks: (B, L, N, T) float32, see `Tracks`
+    frames:      (B, L, V, N, 4) float32 belief features
+    target_mask: (B, N)          bool
+    flown:       (B, L)          float32 trajectory length at each decision, in `WINDOW_AU`
+    nodes:       (B, L)          int64   the agent's node at each decision
+    tracks:      (B, L, N, T)    float32 see `Tracks`
     """
 
     graphs: Graphs
@@ -166,7 +174,7 @@ class Segment:
         nodes: Tensor,
         tracks: Tensor,
     ) -> Segment:
-        """Whole episodes. frames: (B, L, V, N, 4); lengths_au: (B, L) flown at each decision."""
+        """Whole episodes, from the lengths (B, L) in au flown at each decision."""
         return cls(
             graphs=graphs,
             frames=frames,

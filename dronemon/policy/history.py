@@ -1,6 +1,6 @@
 """The network's memory between decisions: each pooled window is encoded once.
 
-Source: paper, section IV-B; PAPER-NOTES' "Exactness that saves work".
+Source: paper, section IV-B; the identities are told in `policy.network`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dronemon.policy.decoder import Verdict
+from dronemon.policy.encoders import TemporalEncoder, TemporalMemory
 from dronemon.policy.features import Graphs, num_windows, pool_windows
-from dronemon.policy.network import PolicyNetwork, TemporalEncoder, TemporalMemory, Verdict
+from dronemon.policy.network import PolicyNetwork
 from dronemon.problem import WINDOW_AU
 
 
@@ -61,9 +63,12 @@ class History:
     ) -> Verdict:
         """Take in the newest frame and judge the agent's next step.
 
-        frame: (B, V, N, 4) belief features, where N may grow; target_mask: (B, N); length_au: (B,)
-        float64 flown so far; current: (B,) the agent's node; tracks: (B, N, T) -> logits (B, 1, k),
-        value (B, 1)
+        frame:       (B, V, N, 4) belief features, where N may grow
+        target_mask: (B, N)
+        length_au:   (B,) float64 flown so far
+        current:     (B,) int64   the agent's node
+        tracks:      (B, N, T)
+        -> logits (B, 1, k), value (B, 1)
         """
         known = [_widened(f, frame.shape[2]) for f in self._frames]
         self._frames = [*known, frame][-self._stride :]
