@@ -22,7 +22,7 @@ from dronemon.frames import AreaFrame, ground_to_pixel, pixel_to_ground
 from dronemon.mission.schema import APPEARANCES
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
-from dronemon.vision.detect import Detector
+from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.prototypes import ENLARGEMENT
 from sim.camera import encode
 from sim.renderer import Renderer
@@ -160,7 +160,7 @@ def benchmark(seed: int, num_pictures: int) -> None:
     """Print how well and how fast animals are found."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
-    detector = Detector(APPEARANCES, CAMERA, min_score=0.5)
+    detector = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
     tally = Tally()
     render_ms: list[float] = []
     carry_ms: list[float] = []
@@ -189,7 +189,7 @@ def measure(seed: int, num_pictures: int) -> None:
     """Print the median traits of the simulated animals, for `dronemon.vision.prototypes`."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
-    detector = Detector(APPEARANCES, CAMERA, min_score=0.5)
+    detector = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
     traits: dict[str, list[FloatArray]] = {name: [] for name in APPEARANCES}
     for _ in range(num_pictures):
         scene = random_scene(rng, reach_m=1.5 * RADIUS_M, num_near=4)

@@ -23,6 +23,8 @@ from dronemon.simulator import Simulator, read_truth, simulator
 from dronemon.terminal import FlightDisplay, console
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
+from dronemon.vision import Detector
+from dronemon.vision.drawn import DrawnDetector
 from dronemon.viz import FlightView
 
 _WORKER_THREADS = 16
@@ -66,7 +68,7 @@ def make_planner(file: MissionFile) -> Planner:
     return planner
 
 
-async def fly_mission(
+async def assemble_and_fly(
     file: MissionFile, planner: Planner, follow: str | None, out: Path | None
 ) -> tuple[FlightResult, Summary]:
     """Fly a mission with everything it names, into a new run folder.
@@ -120,11 +122,14 @@ async def _with_everything(
 ) -> tuple[FlightResult, dict[float, FloatArray], FloatArray]:
     """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
     folder, mission = recorder.folder, file.mission
+    detector = make_detector(mission)
     async with contextlib.AsyncExitStack() as stack:
         sim: Simulator | None = None
         try:
             async with asyncio.TaskGroup() as group:
-                group.create_task(rehearse(mission, planner, interrupts), name="rehearsal")
+                group.create_task(
+                    rehearse(mission, detector, planner, interrupts), name="rehearsal"
+                )
                 if mission.vehicle.is_mock or follow:
                     sim = await stack.enter_async_context(
                         simulator(
@@ -157,6 +162,7 @@ async def _with_everything(
             file,
             link=link,
             camera=_camera(mission, sim, link),
+            detector=detector,
             planner=planner,
             priors_au=priors_au,
             recorder=recorder,
@@ -200,6 +206,12 @@ def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameS
         return SimulatedCamera(sim.camera_url, timeout_s=camera.timeout_s)
     source = int(camera.url) if camera.url.isdigit() else camera.url
     return VideoCamera(source, timeout_s=camera.timeout_s, latency_s=camera.latency_s, clock=link)
+
+
+def make_detector(mission: Mission) -> Detector:
+    """Finds the mission's targets in its camera's pictures."""
+    appearances = [target.appearance for target in mission.targets]
+    return DrawnDetector(appearances, mission.camera.model, mission.detector.min_score)
 
 
 def _as_flown(mission: Mission) -> str:

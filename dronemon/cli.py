@@ -16,7 +16,7 @@ import numpy as np
 import typer
 
 import dronemon
-from dronemon.assembly import check_flight, fly_mission, make_planner
+from dronemon.assembly import assemble_and_fly, check_flight, make_planner
 from dronemon.errors import DronemonError, VehicleError
 from dronemon.evaluation.command import evaluate_command
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
@@ -96,7 +96,7 @@ def fly_command(
     file = load_mission(find_mission(mission), overrides)
     check_flight(file, follow)
     chosen = make_planner(file)
-    result, summary = asyncio.run(fly_mission(file, chosen, follow, out))
+    result, summary = asyncio.run(assemble_and_fly(file, chosen, follow, out))
     console.print(facts_table(file.mission.name, facts(result.outcome, summary)))
     if result.error is not None:
         raise result.error

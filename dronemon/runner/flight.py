@@ -18,16 +18,12 @@ from dronemon.planner import Planner
 from dronemon.recorder import RunRecorder
 from dronemon.runner.homecoming import Homecoming
 from dronemon.runner.patrol import Kit, Patrol
-from dronemon.runner.preparation import (
-    brief,
-    draw_start_and_roadmap,
-    make_belief,
-    make_detector,
-)
+from dronemon.runner.preparation import brief, draw_start_and_roadmap, make_belief
 from dronemon.runner.report import Reporter
 from dronemon.runner.status import Audience, FlightStatus, Interrupted, Interrupts
 from dronemon.types import FloatArray
 from dronemon.vehicle import VehicleLink
+from dronemon.vision import Detector
 from dronemon.viz import FlightView
 
 _GROUND_POSES = 20
@@ -54,6 +50,7 @@ async def fly(
     *,
     link: VehicleLink,
     camera: FrameSource,
+    detector: Detector,
     planner: Planner,
     priors_au: FloatArray,
     recorder: RunRecorder,
@@ -67,7 +64,9 @@ async def fly(
     priors_au: (N, 2) au known positions of the targets, NaN where unknown.
     Never raises a DronemonError: what went wrong is in the result, after the drone came home.
     """
-    flight = _Flight(file, link, camera, planner, priors_au, recorder, view, interrupts, audience)
+    flight = _Flight(
+        file, link, camera, detector, planner, priors_au, recorder, view, interrupts, audience
+    )
     return await flight.run()
 
 
@@ -77,6 +76,7 @@ class _Flight:
         file: MissionFile,
         link: VehicleLink,
         camera: FrameSource,
+        detector: Detector,
         planner: Planner,
         priors_au: FloatArray,
         recorder: RunRecorder,
@@ -88,6 +88,7 @@ class _Flight:
         self._mission = file.mission
         self._link = link
         self._camera = camera
+        self._detector = detector
         self._planner = planner
         self._priors_au = priors_au
         self._recorder = recorder
@@ -152,7 +153,7 @@ class _Flight:
             frame=frame,
             link=link,
             camera=self._camera,
-            detector=make_detector(mission),
+            detector=self._detector,
             belief=make_belief(mission, self._priors_au),
             planner=self._planner,
             roadmap=roadmap,

@@ -28,7 +28,9 @@ from dronemon.world.instance import named_stream
 _COMPILE_LIMIT_S = 60.0
 
 
-async def rehearse(mission: Mission, planner: Planner, interrupts: Interrupts) -> None:
+async def rehearse(
+    mission: Mission, detector: Detector, planner: Planner, interrupts: Interrupts
+) -> None:
     """Look, believe and plan once with throw-away data, so that nothing is loaded in flight.
 
     Compiled code is loaded at its first call, after the installation even compiled, and holds up
@@ -37,10 +39,10 @@ async def rehearse(mission: Mission, planner: Planner, interrupts: Interrupts) -
     """
     with contextlib.suppress(Interrupted):  # the flight, which comes next, tells and ends
         async with interrupts.leaving():
-            await in_daemon_thread(partial(_rehearse, mission, planner))
+            await in_daemon_thread(partial(_rehearse, mission, detector, planner))
 
 
-def _rehearse(mission: Mission, planner: Planner) -> None:
+def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
     torch.set_num_threads(1)
     num_targets = len(mission.targets)
     start_au, roadmap = draw_start_and_roadmap(mission)
@@ -55,7 +57,7 @@ def _rehearse(mission: Mission, planner: Planner) -> None:
     belief = make_belief(mission, priors_au)
     belief.add(measurement)
     with _belief_compiled_beside():
-        _look(mission)
+        _look(mission, detector)
         with _blaming(planner):
             planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
     grid_au = belief_grid_au().reshape(-1, 2)
@@ -73,7 +75,7 @@ def _rehearse(mission: Mission, planner: Planner) -> None:
         planner.next_waypoint(snapshot)
 
 
-def _look(mission: Mission) -> None:
+def _look(mission: Mission, detector: Detector) -> None:
     """Detect nothing in a picture of noise."""
     camera = mission.camera.model
     level = Pose(
@@ -83,7 +85,7 @@ def _look(mission: Mission) -> None:
         attitude_rad=(0.0, 0.0, 0.0),
     )
     noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px, 3))
-    make_detector(mission).detect(noise.astype(np.uint8), level, 0.0)
+    detector.detect(noise.astype(np.uint8), level, 0.0)
 
 
 @contextlib.contextmanager
@@ -143,12 +145,6 @@ def brief(
         horizon_au=mission.horizon_au,
         rng=named_stream(mission.simulation.seed, stream),
     )
-
-
-def make_detector(mission: Mission) -> Detector:
-    """Finds the mission's targets in its camera's pictures."""
-    appearances = [target.appearance for target in mission.targets]
-    return Detector(appearances, mission.camera.model, mission.detector.min_score)
 
 
 def make_belief(mission: Mission, priors_au: FloatArray) -> Belief:

@@ -13,6 +13,7 @@ import pytest
 from pymavlink import mavutil
 from simulated_vehicle import StartMockVehicle, free_udp_port
 
+from dronemon.assembly import make_detector
 from dronemon.camera import SimulatedCamera
 from dronemon.errors import (
     CameraError,
@@ -79,7 +80,8 @@ class Rehearsal:
 
     async def _fly(self, options: tuple[str, ...]) -> FlightResult:
         file = load_mission(self.path)
-        await rehearse(file.mission, self.planner, self.interrupts)
+        detector = make_detector(file.mission)
+        await rehearse(file.mission, detector, self.planner, self.interrupts)
         vehicle = self._start(self.path, "--speed-up", "20", *options)
         recorder = RunRecorder.create(
             mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out
@@ -99,6 +101,7 @@ class Rehearsal:
                         file,
                         link=link,
                         camera=SimulatedCamera(vehicle.camera_url, timeout_s=1.5),
+                        detector=detector,
                         planner=self.planner,
                         priors_au=np.array([[0.4, 0.6]]),
                         recorder=recorder,

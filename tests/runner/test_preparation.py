@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dronemon.assembly import make_detector
 from dronemon.errors import PlannerError
 from dronemon.mission import Mission, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
@@ -45,7 +46,7 @@ def mission() -> Mission:
 
 def test_the_planner_decides_once_on_the_missions_own_terms(mission: Mission) -> None:
     planner = Watched()
-    asyncio.run(rehearse(mission, planner, Interrupts()))
+    asyncio.run(rehearse(mission, make_detector(mission), planner, Interrupts()))
     (snapshot,) = planner.asked
     assert len(snapshot.roadmap.nodes_au) == mission.roadmap.num_nodes + 1
     assert snapshot.belief.num_targets == len(mission.targets)
@@ -53,7 +54,9 @@ def test_the_planner_decides_once_on_the_missions_own_terms(mission: Mission) ->
 
 def test_a_planner_that_fails_is_named(mission: Mission) -> None:
     with pytest.raises(PlannerError, match=r"'watched' failed in a rehearsal: ZeroDivisionError"):
-        asyncio.run(rehearse(mission, Watched(lambda: 1 // 0), Interrupts()))
+        asyncio.run(
+            rehearse(mission, make_detector(mission), Watched(lambda: 1 // 0), Interrupts())
+        )
 
 
 def test_a_person_does_not_wait_for_a_planner_that_hangs(mission: Mission) -> None:
@@ -67,7 +70,7 @@ def test_a_person_does_not_wait_for_a_planner_that_hangs(mission: Mission) -> No
             hangs.wait()
 
         async with asyncio.timeout(30):
-            await rehearse(mission, Watched(hang), interrupts)
+            await rehearse(mission, make_detector(mission), Watched(hang), interrupts)
             with pytest.raises(Interrupted):
                 async with interrupts.leaving():
                     pass

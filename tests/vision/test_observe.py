@@ -8,7 +8,8 @@ import pytest
 from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.mission.schema import APPEARANCES
 from dronemon.types import CameraModel, Detection, Pose
-from dronemon.vision import Detector, observe
+from dronemon.vision import observe
+from dronemon.vision.drawn import DrawnDetector
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 
@@ -114,7 +115,7 @@ def test_rendered_animals_are_observed_where_they_are(heading_rad):
     )
     scene = Scene(time_s=1.0, pose=pose, ground_down_m=0.0, frame=frame, animals=animals)
     image = Renderer(CAMERA, 10_300).render(scene)
-    found = Detector(APPEARANCES, CAMERA, 0.5).detect(image, pose, 0.0)
+    found = DrawnDetector(APPEARANCES, CAMERA, 0.5).detect(image, pose, 0.0)
     seen = observe(
         found, pose=pose, camera=CAMERA, frame=frame, appearances=tuple(truth_au), time_au=0.1
     )

@@ -55,8 +55,8 @@ class Candidate:
     traits: FloatArray
 
 
-class Detector:
-    """Names the animals of some appearances in pictures of one camera.
+class DrawnDetector:
+    """Names the drawn animals of some appearances in pictures of one camera; a `Detector`.
 
     All known animals compete for a candidate, so that one which nobody watches is not taken for
     another.

@@ -10,7 +10,7 @@ from dronemon.errors import CameraError
 from dronemon.frames import AreaFrame, pixel_to_ground
 from dronemon.mission.schema import APPEARANCES
 from dronemon.types import CameraModel, Pose
-from dronemon.vision import Detector
+from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.prototypes import ENLARGEMENT
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
@@ -28,7 +28,7 @@ def renderer():
 
 @pytest.fixture(scope="module")
 def detector():
-    return Detector(APPEARANCES, CAMERA, min_score=0.5)
+    return DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
 
 
 def scene_of(*animals, attitude=(0.0, 0.0, 0.0), height_m=35.0):
@@ -117,7 +117,7 @@ def test_empty_ground_shows_nothing(detector, renderer):
 
 
 def test_animal_that_nobody_watches_is_not_taken_for_another(renderer):
-    detector = Detector(["cow", "fox"], CAMERA, min_score=0.1)
+    detector = DrawnDetector(["cow", "fox"], CAMERA, min_score=0.1)
     scene = scene_of(
         animal_at("zebra", 5.0, 5.0), animal_at("tiger", -5.0, 5.0), animal_at("fox", 0.0, -6.0)
     )
@@ -142,7 +142,7 @@ def test_larger_pictures_serve_too():
     camera = CameraModel(width_px=1280, height_px=720, horizontal_fov_rad=1.2)
     scene = scene_of(animal_at("zebra", 6.0, -8.0), attitude=(0.1, -0.1, 2.0), height_m=40.0)
     image = Renderer(camera, 10_300).render(scene)
-    (found,) = Detector(APPEARANCES, camera, 0.5).detect(image, scene.pose, GROUND_DOWN_M)
+    (found,) = DrawnDetector(APPEARANCES, camera, 0.5).detect(image, scene.pose, GROUND_DOWN_M)
     place = pixel_to_ground(np.array(found.pixel_px), camera, scene.pose, GROUND_DOWN_M) - AT
     assert found.appearance == "zebra"
     assert place == pytest.approx((6.0, -8.0), abs=0.6)
@@ -190,7 +190,7 @@ def test_picture_of_another_size_is_an_error(detector):
 
 def test_unknown_appearance_is_an_error():
     with pytest.raises(ValueError, match="unicorn"):
-        Detector(["cow", "unicorn"], CAMERA, 0.5)
+        DrawnDetector(["cow", "unicorn"], CAMERA, 0.5)
 
 
 def test_both_sides_mean_the_same_size():
