@@ -1,13 +1,14 @@
-"""What every vehicle link owes a mission, over real MAVSDK and UDP to the simulated vehicle."""
+"""What every vehicle link owes a mission: over MAVSDK and UDP to the simulator, and in memory."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
 
 import pytest
+import virtual_time
+from fake_link import FakeLink
 from simulated_vehicle import free_udp_port
 
 from dronemon.errors import CommandUnconfirmed, ControlTaken, LinkLost, LinkTimeout
@@ -17,31 +18,32 @@ from dronemon.vehicle.mavsdk_link import MavsdkLink
 Story = Callable[[VehicleLink], Awaitable[None]]
 
 
-@asynccontextmanager
-async def _mavsdk(url: str) -> AsyncIterator[VehicleLink]:
-    async with MavsdkLink(url, command_timeout_s=9.0, link_loss_timeout_s=2.0) as link:
-        yield link
-
-
-LINKS = {"mavsdk": _mavsdk}
-
-
-@pytest.fixture(params=LINKS)
-def with_link(request, mock_vehicle):
+@pytest.fixture(params=["mavsdk", "fake"])
+def with_link(request):
     """Run a story with a ready link to a fresh vehicle; `faults` as for `python -m sim`."""
 
+    async def tell(link: MavsdkLink | FakeLink, story: Story) -> None:
+        async with asyncio.timeout(60 if request.param == "mavsdk" else 3600), link:
+            await link.wait_ready(30.0)
+            await story(link)
+
     def run(story: Story, *faults: str) -> None:
+        if request.param == "fake":
+            virtual_time.run(tell(FakeLink(faults=faults), story))
+            return
         options = [word for fault in faults for word in ("--fault", fault)]
-        vehicle = mock_vehicle("animals", "--speed-up", "20", *options)
-
-        async def tell() -> None:
-            async with asyncio.timeout(60), LINKS[request.param](vehicle.url) as link:
-                await link.wait_ready(30.0)
-                await story(link)
-
-        asyncio.run(tell())
+        start = request.getfixturevalue("mock_vehicle")
+        url = start("animals", "--speed-up", "20", *options).url
+        link = MavsdkLink(url, command_timeout_s=9.0, link_loss_timeout_s=2.0)
+        asyncio.run(tell(link, story))
 
     return run
+
+
+in_memory_first = pytest.mark.parametrize(
+    "with_link", ["fake", pytest.param("mavsdk", marks=pytest.mark.flights)], indirect=True
+)
+"""For what need not fly in the simulator at every change: `make test-flights` does."""
 
 
 def _here(link: VehicleLink, speed_m_s: float = 0.0) -> Setpoint:
@@ -97,7 +99,7 @@ def test_poses_come_in_order_and_enclose_an_instant(with_link):
     with_link(story)
 
 
-@pytest.mark.flights
+@in_memory_first
 def test_waiting_has_a_limit_in_vehicle_time(with_link):
     async def story(link: VehicleLink) -> None:
         began_s = link.time_s
@@ -132,7 +134,7 @@ def test_silence_is_noticed(with_link):
     with_link(story, "silence@15")
 
 
-@pytest.mark.flights
+@in_memory_first
 def test_setpoints_that_stop_end_offboard(with_link):
     async def story(link: VehicleLink) -> None:
         await link.arm()

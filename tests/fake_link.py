@@ -1,0 +1,419 @@
+"""A vehicle in memory behind `VehicleLink`, with faults as the simulator has them.
+
+It lives on the event loop's time, which tests let jump (`virtual_time`). It flies without inertia
+and knows of PX4 what a mission must survive: heartbeats once a second, failsafes, refusals.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dronemon.camera import FrameSource
+from dronemon.errors import (
+    CameraError,
+    CommandRejected,
+    CommandUnconfirmed,
+    ControlTaken,
+    LinkLost,
+    LinkTimeout,
+    VehicleError,
+)
+from dronemon.frames import GeoPoint
+from dronemon.types import Picture, Pose, Vector3
+from dronemon.vehicle import Landed, Mode, Setpoint, VehicleState
+from sim.faults import FaultSchedule, parse_fault
+
+STEP_S = 0.02
+ORIGIN = GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0)
+_ATTEMPTS = 3
+_SETPOINT_LIMIT_S = 1.0
+_DISARM_AFTER_S = 2.0
+_SPEED_M_S, _CLIMB_M_S = 20.0, 3.0
+
+
+class FakeVehicle:
+    """The vehicle and its autopilot: what is, as against what the link has heard."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+        self.position: list[float] = [0.0, 0.0, 0.0]
+        self.velocity: list[float] = [0.0, 0.0, 0.0]
+        self.intent = Mode.HOLD
+        self.is_armed = False
+        self.has_gps = True
+        self.battery = 0.9
+        self.is_deaf = False
+        self.refused: set[str] = set()
+        """Names of commands that are refused; `all` refuses every one."""
+        self.failsafe: Mode | None = None
+        """Mode of a failsafe that a test imposes."""
+        self.target_down_m = 0.0
+        self.setpoint: Setpoint | None = None
+        self.setpoint_s = -math.inf
+        self._on_ground_s = 0.0
+        self._has_flown = False
+
+    @property
+    def is_on_ground(self) -> bool:
+        return self.position[2] > -0.1
+
+    @property
+    def mode(self) -> Mode:
+        return self._failsafe() or self.intent
+
+    def _failsafe(self) -> Mode | None:
+        if not self.is_armed:
+            return None
+        if not self.has_gps:
+            return Mode.OTHER
+        if self.failsafe is not None:
+            return self.failsafe
+        is_late = self.time_s > self.setpoint_s + _SETPOINT_LIMIT_S
+        return Mode.RETURN if self.intent is Mode.OFFBOARD and is_late else None
+
+    @property
+    def is_failsafe(self) -> bool:
+        return self._failsafe() is not None
+
+    def command(self, name: str) -> bool:
+        """-> whether it obeys."""
+        return not (self.is_deaf or {name, "all"} & self.refused)
+
+    def choose(self, mode: Mode) -> None:
+        """A new mode replaces what a failsafe imposed."""
+        self.intent, self.failsafe = mode, None
+
+    def step(self) -> None:
+        self.time_s = round(self.time_s + STEP_S, 6)
+        before = list(self.position)
+        if self.is_armed:
+            self._fly()
+        self.velocity = [(b - a) / STEP_S for a, b in zip(before, self.position, strict=True)]
+        self._has_flown = self.is_armed and (self._has_flown or not self.is_on_ground)
+        if not (self.is_on_ground and self._has_flown):
+            self._on_ground_s = self.time_s
+        if self.time_s - self._on_ground_s > _DISARM_AFTER_S:
+            self.is_armed = False
+
+    def _fly(self) -> None:
+        mode = self.mode
+        if mode is Mode.TAKEOFF:
+            self._move(2, self.target_down_m, _CLIMB_M_S)
+            if self.position[2] <= self.target_down_m:
+                self.intent = Mode.HOLD
+        elif mode is Mode.OFFBOARD and self.setpoint is not None:
+            for axis in range(3):
+                self._move(axis, self.setpoint.position_ned_m[axis], _SPEED_M_S)
+        elif mode is Mode.LAND or (mode is Mode.RETURN and self._is_over_home()):
+            self._move(2, 0.0, _CLIMB_M_S)
+        elif mode is Mode.RETURN:
+            for axis in range(2):
+                self._move(axis, 0.0, _SPEED_M_S)
+
+    def _is_over_home(self) -> bool:
+        return math.hypot(*self.position[:2]) < 0.01
+
+    def _move(self, axis: int, goal: float, speed_m_s: float) -> None:
+        way = goal - self.position[axis]
+        self.position[axis] += math.copysign(min(abs(way), speed_m_s * STEP_S), way)
+
+
+class FakeLink:
+    """A link to a fake vehicle, open inside its `async with`. Implements VehicleLink.
+
+    faults: as for `python -m sim`, in vehicle time after arming.
+    """
+
+    def __init__(
+        self,
+        *,
+        faults: Sequence[str] = (),
+        link_loss_timeout_s: float = 2.0,
+        command_timeout_s: float = 9.0,
+        heartbeat_s: float = 1.0,
+    ) -> None:
+        self.vehicle = FakeVehicle()
+        self.is_silent = False
+        self.is_camera_silent = False
+        self.commands: list[str] = []
+        """Every command that was sent, heard or not."""
+        self.num_setpoints = 0
+        self._armed_at_s: float | None = None
+        self._loss_s, self._timeout_s = link_loss_timeout_s, command_timeout_s
+        self._heartbeat_s, self._heartbeat_due_s = heartbeat_s, 0.0
+        self._num_heartbeats = 0
+        self._state = VehicleState()
+        self._poses: list[Pose] = []
+        self._given_s = -math.inf
+        self._expected: frozenset[Mode] | None = None
+        self._has_rebooted = False
+        self._said: list[str] = []
+        self._changed = asyncio.Event()
+        self._timer: asyncio.TimerHandle | None = None
+        self._faults = self._schedule(faults)
+
+    def _schedule(self, faults: Sequence[str]) -> FaultSchedule:
+        vehicle = self.vehicle
+
+        def lose_gps(is_lost: bool) -> None:
+            vehicle.has_gps = not is_lost
+            vehicle.refused = {"return", "land"} if is_lost else set()
+
+        def reject(is_on: bool) -> None:
+            vehicle.refused = {"all"} if is_on else set()
+
+        return FaultSchedule(
+            tuple(parse_fault(fault) for fault in faults),
+            switches={
+                "silence": lambda is_on: setattr(self, "is_silent", is_on),
+                "deaf": lambda is_on: setattr(vehicle, "is_deaf", is_on),
+                "reject": reject,
+                "gps": lose_gps,
+                "camera": lambda is_on: setattr(self, "is_camera_silent", is_on),
+            },
+            events={
+                "pilot": lambda _: vehicle.choose(Mode.POSITION),
+                "battery": lambda level: setattr(vehicle, "battery", level),
+                "reboot": lambda _: setattr(self, "_has_rebooted", True),
+            },
+        )
+
+    async def __aenter__(self) -> FakeLink:
+        self._tick()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        assert self._timer is not None
+        self._timer.cancel()
+
+    def _tick(self) -> None:
+        vehicle = self.vehicle
+        vehicle.step()
+        if vehicle.is_armed and self._armed_at_s is None:
+            self._armed_at_s = vehicle.time_s
+        if self._armed_at_s is not None:
+            self._faults.advance(vehicle.time_s - self._armed_at_s)
+        if not self.is_silent:
+            self._publish()
+            self._changed.set()
+        self._timer = asyncio.get_running_loop().call_later(STEP_S, self._tick)
+
+    def _publish(self) -> None:
+        vehicle = self.vehicle
+        if vehicle.time_s >= self._heartbeat_due_s:
+            self._heartbeat_due_s = vehicle.time_s + self._heartbeat_s
+            self._num_heartbeats += 1
+            self._state = replace(
+                self._state,
+                mode=vehicle.mode,
+                is_armed=vehicle.is_armed,
+                is_failsafe=vehicle.is_failsafe,
+            )
+        self._state = replace(
+            self._state,
+            is_armable=True,
+            is_position_good=vehicle.has_gps,
+            landed=Landed.ON_GROUND if vehicle.is_on_ground else Landed.IN_AIR,
+            battery=vehicle.battery,
+            home=ORIGIN,
+            origin=ORIGIN,
+        )
+        self._poses.append(
+            Pose(
+                time_s=vehicle.time_s,
+                position_ned_m=_vector(vehicle.position),
+                velocity_ned_m_s=_vector(vehicle.velocity),
+                attitude_rad=(0.0, 0.0, 0.0),
+            )
+        )
+
+    @property
+    def state(self) -> VehicleState:
+        return self._state
+
+    @property
+    def pose(self) -> Pose:
+        if not self._poses:
+            raise LinkTimeout("no pose was heard yet")
+        return self._poses[-1]
+
+    @property
+    def time_s(self) -> float:
+        return self.pose.time_s
+
+    def say(self, text: str) -> None:
+        """Have the autopilot say something."""
+        self._said.append(text)
+
+    def texts(self) -> list[str]:
+        said, self._said = self._said, []
+        return said
+
+    # Waiting
+
+    async def _next_message(self, *, checks_mode: bool = True) -> None:
+        self._changed.clear()
+        try:
+            async with asyncio.timeout(self._loss_s):
+                await self._changed.wait()
+        except TimeoutError as exc:
+            raise LinkLost(
+                f"nothing heard from the vehicle for {self._loss_s:g} s; its own failsafe is in "
+                "charge"
+            ) from exc
+        if self._has_rebooted:
+            self._has_rebooted = False
+            raise VehicleError("the autopilot rebooted: its clock went back; the flight is over")
+        if checks_mode:
+            self._check_mode()
+
+    def _check_mode(self) -> None:
+        if self._expected is not None and self._state.mode not in self._expected:
+            is_failsafe = self._state.is_failsafe
+            who = "a failsafe of the autopilot" if is_failsafe else "the pilot"
+            raise ControlTaken(f"{who} chose mode '{self._state.mode}'", by_failsafe=is_failsafe)
+
+    async def next_pose(self) -> Pose:
+        while not self._poses or self.time_s == self._given_s:
+            await self._next_message()
+        self._given_s = self.time_s
+        return self.pose
+
+    async def poses_around(self, time_s: float) -> tuple[Pose, Pose]:
+        while not self._poses or self.time_s < time_s:
+            await self._next_message()
+        after = next(i for i, pose in enumerate(self._poses) if i and pose.time_s >= time_s)
+        return self._poses[after - 1], self._poses[after]
+
+    async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
+        end_s = self.time_s + timeout_s if self._poses else math.inf
+        while not condition():
+            await self._next_message()
+            if self.time_s > end_s:
+                armed = "armed" if self._state.is_armed else "disarmed"
+                raise CommandUnconfirmed(
+                    f"{what}: not seen in telemetry after {timeout_s:g} s of vehicle time; "
+                    f"it is {armed}"
+                )
+
+    async def wait_ready(self, timeout_s: float) -> None:
+        await self.wait_until(lambda: self._state.home is not None, "ready", timeout_s)
+
+    async def next_heartbeat(self) -> None:
+        heard = self._num_heartbeats
+        while self._num_heartbeats == heard:
+            await self._next_message(checks_mode=False)
+
+    # Commands
+
+    async def _confirm(self, name: str, obey: Callable[[], None], done: Callable[[], bool]) -> None:
+        for _ in range(_ATTEMPTS):
+            self.commands.append(name)
+            if self.vehicle.command(name):
+                obey()
+            try:
+                await self.wait_until(done, name, self._timeout_s / _ATTEMPTS)
+            except CommandUnconfirmed:
+                continue
+            return
+        raise CommandRejected(f"{name}: asked {_ATTEMPTS} times without effect")
+
+    async def _change_mode(self, name: str, mode: Mode, *also: Mode) -> None:
+        self._check_mode()
+        if self._expected is not None:
+            self._expected |= {mode}
+        await self._confirm(
+            name, lambda: self.vehicle.choose(mode), lambda: self._state.mode is mode
+        )
+        self._expected = frozenset({mode, *also})
+
+    async def arm(self) -> None:
+        await self._confirm("arm", self._set_armed, lambda: self._state.is_armed)
+
+    def _set_armed(self, is_armed: bool = True) -> None:
+        self.vehicle.is_armed = is_armed
+
+    async def disarm(self) -> None:
+        self.release()
+        await self._confirm(
+            "disarm", lambda: self._set_armed(False), lambda: not self._state.is_armed
+        )
+
+    async def take_off(self, height_m: float) -> None:
+        vehicle, top_m = self.vehicle, self.pose.position_ned_m[2] - height_m
+        self._expected = frozenset({self._state.mode, Mode.TAKEOFF, Mode.HOLD})
+
+        def climb() -> None:
+            vehicle.target_down_m = top_m
+            vehicle.choose(Mode.TAKEOFF)
+
+        await self._confirm("take-off", climb, lambda: self._state.mode is Mode.TAKEOFF)
+        self._expected = frozenset({Mode.TAKEOFF, Mode.HOLD})
+        await self.wait_until(
+            lambda: self.pose.position_ned_m[2] < top_m + 1.0, f"climb to {height_m:g} m", 90.0
+        )
+
+    async def start_offboard(self, setpoint: Setpoint) -> None:
+        self._check_mode()
+        if self._expected is not None:
+            self._expected |= {Mode.OFFBOARD}
+        end_s = self.time_s + self._timeout_s
+        while self._state.mode is not Mode.OFFBOARD:
+            if self.time_s > end_s:
+                raise CommandUnconfirmed("offboard: asked without effect")
+            await self.send_setpoint(setpoint)
+            self.commands.append("offboard")
+            if self.vehicle.command("offboard"):
+                self.vehicle.choose(Mode.OFFBOARD)
+            await self.next_pose()
+        self._expected = frozenset({Mode.OFFBOARD})
+
+    async def send_setpoint(self, setpoint: Setpoint) -> None:
+        self.num_setpoints += 1
+        if not self.vehicle.is_deaf:
+            self.vehicle.setpoint, self.vehicle.setpoint_s = setpoint, self.vehicle.time_s
+
+    async def hold(self) -> None:
+        await self._change_mode("hold", Mode.HOLD)
+
+    async def return_home(self) -> None:
+        await self._change_mode("return", Mode.RETURN, Mode.LAND)
+
+    async def land(self) -> None:
+        await self._change_mode("land", Mode.LAND)
+
+    def release(self) -> None:
+        self._expected = None
+
+
+class FakeCamera:
+    """Grey pictures taken at once by a fake link's vehicle."""
+
+    def __init__(self, link: FakeLink, width_px: int = 64, height_px: int = 64) -> None:
+        self._link = link
+        self._image = np.full((height_px, width_px, 3), 128, dtype=np.uint8)
+
+    async def __aenter__(self) -> FakeCamera:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        pass
+
+    async def capture(self) -> Picture:
+        if self._link.is_camera_silent:
+            await asyncio.sleep(1.5)
+            raise CameraError("no picture within 1.5 s")
+        return Picture(time_s=self._link.time_s, image=self._image)
+
+
+def _vector(values: list[float]) -> Vector3:
+    north, east, down = values
+    return north, east, down
+
+
+_: type[FrameSource] = FakeCamera

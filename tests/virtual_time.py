@@ -1,0 +1,73 @@
+"""An event loop whose time jumps to the next timer, so that hours of waiting take milliseconds.
+
+Time stands still while a planner thinks: its thread is real. What else would run in a thread runs
+at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import threading
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+_hanging: set[threading.Thread] = set()
+
+
+def run(main: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine in virtual time. -> its result"""
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(main)
+
+
+def let_time_pass() -> None:
+    """Called by a planner that hangs: time goes on without its thread."""
+    _hanging.add(threading.current_thread())
+
+
+class VirtualTimeLoop(asyncio.SelectorEventLoop):
+    """Jumps to the next timer as soon as nothing else is to be done."""
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+        super().__init__(_JumpingSelector(self))
+        self.set_default_executor(_AtOnce(1))
+
+    def time(self) -> float:
+        return self._now_s
+
+    def jump(self, duration_s: float) -> None:
+        self._now_s += duration_s
+
+
+class _JumpingSelector(selectors.DefaultSelector):
+    def __init__(self, loop: VirtualTimeLoop) -> None:
+        super().__init__()
+        self._loop = loop
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        if timeout is None:  # only while the loop closes
+            return super().select(1.0)
+        is_thinking = any(
+            thread.name == "planner" and thread not in _hanging for thread in threading.enumerate()
+        )
+        ready = super().select(0.0)
+        if ready or timeout <= 0.0:
+            return ready
+        if is_thinking:
+            return super().select(0.001)
+        self._loop.jump(timeout)
+        return []
+
+
+class _AtOnce(ThreadPoolExecutor):
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        done: Future[T] = Future()
+        try:
+            done.set_result(fn(*args, **kwargs))
+        except Exception as exc:  # noqa: BLE001 - it is the one who waits that must see it
+            done.set_exception(exc)
+        return done
