@@ -2,9 +2,9 @@
 
 Each picture has a random place, heading, height (35 m +-20 %) and tilt (up to 15 degrees) over a
 random area of 200 m with one animal of every appearance, at least one of them near the vehicle, and
-goes through the JPEG of the stream. An animal counts for recall if it is drawn wholly inside both
-the sensor's circle and the picture. `dronemon.vision.prototypes` was measured on other
-seeds (`--measure`, 10001 and up).
+goes through the JPEG of the stream. With `--height-m H` the height is H and the area H/35 as large.
+An animal counts for recall if it is drawn wholly inside both the sensor's circle and the picture.
+`dronemon.vision.prototypes` was measured on other seeds (`--measure`, 10001 and up).
 """
 
 from __future__ import annotations
@@ -31,25 +31,32 @@ from sim.sprites import drawn_size_m
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 SIDE_M = 200.0
-RADIUS_M = SENSOR_RADIUS_AU * SIDE_M
 HEIGHT_M = 35.0
 MAX_TILT_RAD = math.radians(15.0)
 MATCH_M = 2.5
 """A detection this near to an animal is of that animal."""
 
 
-def random_scene(rng: np.random.Generator, reach_m: float = RADIUS_M, num_near: int = 1) -> Scene:
-    """A scene with `num_near` animals within reach_m of the vehicle and the others anywhere."""
+def random_scene(
+    rng: np.random.Generator,
+    height_m: float | None = None,
+    *,
+    reach: float = 1.0,
+    num_near: int = 1,
+) -> Scene:
+    """A scene with `num_near` animals within `reach` sensor radii and the others anywhere."""
+    side_m = SIDE_M if height_m is None else SIDE_M * height_m / HEIGHT_M
     frame = AreaFrame(
         centre_ned_m=(rng.uniform(-300.0, 300.0), rng.uniform(-300.0, 300.0)),
         ground_down_m=rng.uniform(-5.0, 5.0),
-        side_m=SIDE_M,
+        side_m=side_m,
         heading_rad=rng.uniform(-math.pi, math.pi),
         cruise_speed_m_s=5.0,
     )
     north_m, east_m = frame.au_to_ned(rng.uniform(0.0, 1.0, 2))
     tilt_rad, towards = MAX_TILT_RAD * math.sqrt(rng.uniform()), rng.uniform(-math.pi, math.pi)
-    height_m = HEIGHT_M * rng.uniform(0.8, 1.2)
+    if height_m is None:
+        height_m = HEIGHT_M * rng.uniform(0.8, 1.2)
     pose = Pose(
         time_s=rng.uniform(0.0, 1000.0),
         position_ned_m=(north_m, east_m, frame.ground_down_m - height_m),
@@ -65,8 +72,8 @@ def random_scene(rng: np.random.Generator, reach_m: float = RADIUS_M, num_near: 
     for i, appearance in enumerate(APPEARANCES):
         at_m = frame.au_to_ned(rng.uniform(0.0, 1.0, 2))
         if i in near:
-            distance_m, bearing = reach_m * math.sqrt(rng.uniform()), rng.uniform(0.0, math.tau)
-            at_m = np.array([north_m, east_m]) + distance_m * np.array(
+            reach_m, bearing = reach * SENSOR_RADIUS_AU * side_m, rng.uniform(0.0, math.tau)
+            at_m = np.array([north_m, east_m]) + reach_m * math.sqrt(rng.uniform()) * np.array(
                 [math.cos(bearing), math.sin(bearing)]
             )
         animal = Animal(
@@ -100,7 +107,8 @@ def is_whole(scene: Scene, animal: Animal) -> bool:
         ]
     )
     in_picture = (pixels > 0.0) & (pixels < (CAMERA.width_px, CAMERA.height_px))
-    return bool(distance_m.max() <= RADIUS_M and in_picture.all())
+    radius_m = SENSOR_RADIUS_AU * scene.frame.side_m
+    return bool(distance_m.max() <= radius_m and in_picture.all())
 
 
 @dataclass
@@ -156,7 +164,7 @@ def _ground(pixel_px: tuple[float, float], scene: Scene) -> FloatArray:
     return pixel_to_ground(np.array(pixel_px), CAMERA, scene.pose, scene.ground_down_m)
 
 
-def benchmark(seed: int, num_pictures: int) -> None:
+def benchmark(seed: int, num_pictures: int, height_m: float | None) -> None:
     """Print how well and how fast animals are found."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
@@ -166,7 +174,7 @@ def benchmark(seed: int, num_pictures: int) -> None:
     carry_ms: list[float] = []
     detect_ms: list[float] = []
     for _ in range(num_pictures):
-        scene = random_scene(rng)
+        scene = random_scene(rng, height_m)
         start_s = time.thread_time()
         image = renderer.render(scene)
         rendered_s = time.thread_time()
@@ -192,7 +200,7 @@ def measure(seed: int, num_pictures: int) -> None:
     detector = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
     traits: dict[str, list[FloatArray]] = {name: [] for name in APPEARANCES}
     for _ in range(num_pictures):
-        scene = random_scene(rng, reach_m=1.5 * RADIUS_M, num_near=4)
+        scene = random_scene(rng, reach=1.5, num_near=4)
         image: ImageArray = renderer.render(scene)
         for candidate in detector.candidates(image, scene.pose, scene.ground_down_m):
             at_m = _ground((candidate.centre_px[0], candidate.centre_px[1]), scene)
@@ -213,13 +221,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, help="default: 0, or 10001 with --measure")
     parser.add_argument("--pictures", type=int, default=500)
+    parser.add_argument("--height-m", type=float, help="default: 35 +-20 %%")
     parser.add_argument("--measure", action="store_true", help="print the prototypes instead")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     if options.measure:
         measure(10001 if options.seed is None else options.seed, options.pictures)
     else:
-        benchmark(options.seed or 0, options.pictures)
+        benchmark(options.seed or 0, options.pictures, options.height_m)
 
 
 if __name__ == "__main__":
