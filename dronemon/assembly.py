@@ -12,10 +12,9 @@ import numpy as np
 import yaml
 
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
-from dronemon.errors import OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile
-from dronemon.planner import Clairvoyant, Planner
-from dronemon.planner.registry import create_planner
+from dronemon.planner import Planner
+from dronemon.preflight import make_planner
 from dronemon.recorder import RunRecorder
 from dronemon.runner import FlightResult, Interrupts, fly, mission_kernel, rehearse
 from dronemon.runner.summary import Summary, summarise
@@ -30,54 +29,17 @@ from dronemon.viz import FlightView
 _WORKER_THREADS = 16
 
 
-def check_flight(file: MissionFile, follow: str | None) -> None:
-    """What is wrong with vehicle, camera and priors taken together. Raises MissionFileError."""
-    mission = file.mission
-    if mission.vehicle.is_mock and follow is not None:
-        raise OptionError("--follow goes with --vehicle URL; the mock has its own animals")
-    has_simulator = mission.vehicle.is_mock or follow is not None
-    if mission.camera.is_simulated and not has_simulator:
-        raise file.error(
-            ("camera", "url"),
-            "is `simulated`, but a vehicle at a URL has no simulator beside it; name its camera, "
-            "or let simulated animals follow it with --follow URL",
-        )
-    for index, target in enumerate(mission.targets):
-        if target.prior_au == "simulated" and not has_simulator:
-            raise file.error(
-                ("targets", index, "prior_au"),
-                "is `simulated`, but there is no simulator; give [x, y] or leave it out",
-            )
-
-
-def make_planner(file: MissionFile) -> Planner:
-    """The planner of a mission. Raises MissionFileError naming the line."""
-    kind, checkpoint = file.mission.planner.kind, file.mission.planner.checkpoint
-    try:
-        planner = create_planner(kind, checkpoint=checkpoint)
-    except OptionError as exc:
-        raise file.error(("planner", "kind"), str(exc)) from exc
-    except PolicyError as exc:
-        raise file.error(("planner", "checkpoint"), str(exc)) from exc
-    if isinstance(planner, Clairvoyant):
-        raise file.error(
-            ("planner", "kind"),
-            f"{kind!r} must be told the future: it is a bound for `dronemon evaluate`, not a "
-            "planner to fly",
-        )
-    return planner
-
-
 async def assemble_and_fly(
-    file: MissionFile, planner: Planner, follow: str | None, out: Path | None
+    file: MissionFile, follow: str | None, out: Path | None
 ) -> tuple[FlightResult, Summary]:
-    """Fly a mission with everything it names, into a new run folder.
+    """Fly a mission that was checked with everything it names, into a new run folder.
 
     follow: second MAVLink URL of a real vehicle, for simulated animals and camera to follow it.
 
     Raises DronemonError for what fails before the flight begins; the rest is in the result.
     """
     mission = file.mission
+    planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
     names = tuple(target.name for target in mission.targets)
     recorder = RunRecorder.create(
         mission_text=_as_flown(mission), mission_name=mission.name, target_names=names, out=out

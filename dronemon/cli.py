@@ -8,46 +8,84 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 import dronemon
-from dronemon.assembly import assemble_and_fly, check_flight, make_planner
-from dronemon.errors import DronemonError, VehicleError
-from dronemon.evaluation.command import evaluate_command
-from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
-from dronemon.mission.load import outbound_min, usable_min
-from dronemon.planner.registry import planner_names
-from dronemon.runner.summary import facts
+from dronemon.errors import DronemonError, OptionError, VehicleError
+from dronemon.mission import Mission, MissionFile, shipped_missions
+from dronemon.mission.checks import outbound_min, usable_min
+from dronemon.planner.registry import CLASS_PATTERN, describe_planners, is_bound
+from dronemon.preflight import load_checked, px_per_m
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.terminal import console, facts_table, print_error
-from dronemon.training.command import train_command
+from dronemon.vision.prototypes import NEEDED_PX_PER_M
+
+# What is slow to import (torch, numba, MAVSDK, OpenCV, Rerun) is imported by the command that
+# needs it, so that the others answer at once.
 
 INTERRUPTED = 130
+_DEFAULT_MISSION = "animals"
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="One drone keeps watch over several moving targets.",
 )
 
-MissionOption = Annotated[
-    str, typer.Option("--mission", "-m", help="Mission file, or name of a shipped mission.")
-]
+_REST = {"allow_extra_args": True, "ignore_unknown_options": True}
+"""Settings of a command whose options are read where it is defined."""
 
-FollowOption = Annotated[
+MissionArgument = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[MISSION]",
+        help="Mission file, or name of a shipped mission.",
+        show_default=_DEFAULT_MISSION,
+    ),
+]
+NamedMission = Annotated[str | None, typer.Option("--mission", "-m", help="The same, by name.")]
+VehicleUrl = Annotated[
+    str | None,
+    typer.Option(help="MAVLink URL of a vehicle, such as udpin://127.0.0.1:14540, or `mock`."),
+]
+FollowUrl = Annotated[
     str | None,
     typer.Option(
         help="Second MAVLink URL of that vehicle: simulated animals and camera follow it there."
     ),
 ]
+PlannerKind = Annotated[
+    str | None, typer.Option(help="What chooses the waypoints; see `dronemon planners`.")
+]
+HorizonAu = Annotated[float | None, typer.Option(help="Patrol length in sides.")]
+SpeedUp = Annotated[float | None, typer.Option(help="Speed of the mock, 1 to 20.")]
+Seed = Annotated[int | None, typer.Option(help="Seed of world, roadmap and planner.")]
+LiveView = Annotated[
+    bool | None, typer.Option("--view/--no-view", help="Serve the live view on loopback.")
+]
+RunFolder = Annotated[
+    Path | None, typer.Option(help="Run folder; a new one under runs/ if absent.")
+]
+_OVERRIDES = {
+    "vehicle": ("vehicle", "url"),
+    "speed_up": ("vehicle", "speed_up"),
+    "horizon_au": ("flight", "horizon_au"),
+    "planner": ("planner", "kind"),
+    "seed": ("simulation", "seed"),
+    "view": ("view", "live"),
+}
+"""Parameters of `fly` and `check` -> the key of a mission that each stands for."""
 
 
 def main() -> None:
-    """Run the command line; a DronemonError becomes one message and its exit code."""
+    """Run the command line; a DronemonError becomes its message and its exit code."""
     try:
         app()
     except DronemonError as exc:
@@ -66,38 +104,25 @@ def _root(
 
 @app.command("fly")
 def fly_command(
-    mission: MissionOption = "animals",
-    vehicle: Annotated[
-        str | None,
-        typer.Option(help="MAVLink URL of a vehicle, such as udpin://127.0.0.1:14540, or `mock`."),
-    ] = None,
-    follow: FollowOption = None,
-    planner: Annotated[str | None, typer.Option(help="What chooses the waypoints.")] = None,
-    horizon_au: Annotated[float | None, typer.Option(help="Patrol length in sides.")] = None,
-    speed_up: Annotated[float | None, typer.Option(help="Speed of the mock, 1 to 20.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of world, roadmap and planner.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Run folder; a new one under runs/ if absent.")
-    ] = None,
-    view: Annotated[
-        bool | None, typer.Option("--view/--no-view", help="Serve the live view on loopback.")
-    ] = None,
+    context: typer.Context,
+    file: MissionArgument = None,
+    mission: NamedMission = None,
+    vehicle: VehicleUrl = None,
+    follow: FollowUrl = None,
+    planner: PlannerKind = None,
+    horizon_au: HorizonAu = None,
+    speed_up: SpeedUp = None,
+    seed: Seed = None,
+    view: LiveView = None,
+    out: RunFolder = None,
 ) -> None:
     """Fly a mission: take off, patrol, come home, land. Ctrl-C returns; twice lands now."""
-    given: dict[tuple[str, str], tuple[str, object]] = {
-        ("vehicle", "url"): ("--vehicle", vehicle),
-        ("vehicle", "speed_up"): ("--speed-up", speed_up),
-        ("flight", "horizon_au"): ("--horizon-au", horizon_au),
-        ("planner", "kind"): ("--planner", planner),
-        ("simulation", "seed"): ("--seed", seed),
-        ("view", "live"): ("--view", view),
-    }
-    overrides = {key: option for key, option in given.items() if option[1] is not None}
-    file = load_mission(find_mission(mission), overrides)
-    check_flight(file, follow)
-    chosen = make_planner(file)
-    result, summary = asyncio.run(assemble_and_fly(file, chosen, follow, out))
-    console.print(facts_table(file.mission.name, facts(result.outcome, summary)))
+    checked = _checked(context)
+    from dronemon.assembly import assemble_and_fly
+    from dronemon.runner.summary import facts
+
+    result, summary = asyncio.run(assemble_and_fly(checked, follow, out))
+    console.print(facts_table(checked.mission.name, facts(result.outcome, summary)))
     if result.error is not None:
         raise result.error
     if not result.is_landed:
@@ -106,35 +131,77 @@ def fly_command(
 
 
 @app.command()
-def check(mission: MissionOption = "animals", follow: FollowOption = None) -> None:
+def check(
+    context: typer.Context,
+    file: MissionArgument = None,
+    mission: NamedMission = None,
+    vehicle: VehicleUrl = None,
+    follow: FollowUrl = None,
+    planner: PlannerKind = None,
+    horizon_au: HorizonAu = None,
+    speed_up: SpeedUp = None,
+    seed: Seed = None,
+    view: LiveView = None,
+) -> None:
     """Validate a mission and print what would be flown, without flying."""
-    file = load_mission(find_mission(mission))
-    check_flight(file, follow)
-    make_planner(file)
-    m = file.mission
+    checked = _checked(context)
+    console.print(facts_table(f"{checked.path}: can be flown", _facts(checked.mission)))
+
+
+def _checked(context: typer.Context) -> MissionFile:
+    """The mission that a command was given, with its options in place. Raises DronemonError."""
+    given = context.params
+    if given["file"] and given["mission"]:
+        raise OptionError(f"the mission is given twice: {given['file']} and --mission; leave one")
+    overrides = {
+        key: (f"--{name.replace('_', '-')}", given[name])
+        for name, key in _OVERRIDES.items()
+        if given[name] is not None
+    }
+    name = given["file"] or given["mission"] or _DEFAULT_MISSION
+    return load_checked(name, overrides, given["follow"])
+
+
+def _facts(m: Mission) -> dict[str, str]:
+    """What would be flown, in words."""
     # Mean distance to one of the k nearest of V random places.
-    leg_au = 2.0 / 3.0 * np.sqrt(m.roadmap.num_neighbours / (np.pi * m.roadmap.num_nodes))
-    console.print(
-        facts_table(
-            f"{file.path}: can be flown",
-            {
-                "targets": ", ".join(f"{t.name} ({t.appearance})" for t in m.targets),
-                "area": f"{m.area.side_m:g} m side, heading {m.area.heading_deg:g} degrees",
-                "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
-                f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m",
-                "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
-                f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
-                "pictures": f"{m.horizon_au / 0.1:.0f}, one every {0.1 * m.area.side_m:g} m",
-                "roadmap": f"{m.roadmap.num_nodes} nodes; about "
-                f"{m.horizon_au / leg_au:.0f} decisions of a planner that keeps to it",
-                "battery": f"{outbound_min(m):.1f} min until the return, of {usable_min(m):.1f} "
-                f"min usable ({m.flight.endurance_min:g} min, return at "
-                f"{m.flight.return_battery:.0%})",
-                "planner": m.planner.kind,
-                "vehicle": m.vehicle.url,
-            },
-        )
-    )
+    leg_au = 2.0 / 3.0 * math.sqrt(m.roadmap.num_neighbours / (math.pi * m.roadmap.num_nodes))
+    return {
+        "targets": ", ".join(f"{t.name} ({t.appearance})" for t in m.targets),
+        "area": f"{m.area.side_m:g} m side, heading {m.area.heading_deg:g} degrees",
+        "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
+        f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m, banked "
+        f"{math.degrees(m.flight.bank_rad):.0f} degrees",
+        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs {NEEDED_PX_PER_M:g}",
+        "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
+        f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
+        "pictures": f"{m.horizon_au / MEASUREMENT_INTERVAL_AU:.0f}, one every "
+        f"{MEASUREMENT_INTERVAL_AU * m.area.side_m:g} m",
+        "roadmap": f"{m.roadmap.num_nodes} nodes; about "
+        f"{m.horizon_au / leg_au:.0f} decisions of a planner that keeps to it",
+        "battery": f"{outbound_min(m):.1f} min until the return, of {usable_min(m):.1f} "
+        f"min usable ({m.flight.endurance_min:g} min, return at "
+        f"{m.flight.return_battery:.0%})",
+        "planner": m.planner.kind,
+        "vehicle": m.vehicle.url,
+    }
+
+
+@app.command()
+def init(
+    file: Annotated[Path, typer.Argument(help="Where to write it; never over a file.")] = Path(
+        "mission.yaml"
+    ),
+) -> None:
+    """Write a mission to start from, with every key, its default and what it means."""
+    from dronemon.mission.template import mission_template
+
+    try:
+        with file.open("x", encoding="utf-8") as target:
+            target.write(mission_template())
+    except OSError as exc:
+        raise OptionError(f"{file}: cannot be made: {exc.strerror}; name another file") from exc
+    console.print(f"{file}: change it, then: dronemon check {file}", soft_wrap=True, markup=False)
 
 
 @app.command()
@@ -146,19 +213,47 @@ def missions() -> None:
 
 @app.command()
 def planners() -> None:
-    """List the planners that a mission may name."""
-    for name in planner_names():
-        console.print(name, markup=False)
+    """List what may choose the waypoints, and what each is."""
+    for name, about in describe_planners().items():
+        console.print(f"{name}: {about}", soft_wrap=True, markup=False)
 
 
 @app.command()
 def schema() -> None:
     """Print the JSON schema of mission files, for editors."""
-    sys.stdout.write(json.dumps(Mission.model_json_schema(), indent=2) + "\n")
+    document = Mission.model_json_schema()
+    names = [name for name in describe_planners() if not is_bound(name)]
+    kind = document["$defs"]["Planner"]["properties"]["kind"]
+    kind["anyOf"] = [{"enum": names}, {"pattern": CLASS_PATTERN}]
+    sys.stdout.write(json.dumps(document, indent=2) + "\n")
 
 
-app.command("evaluate")(evaluate_command)
-app.command("train")(train_command)
+@app.command("evaluate", add_help_option=False, context_settings=_REST)
+def evaluate(context: typer.Context) -> None:
+    """Measure planners on simulated instances, and compare them with the paper's figures."""
+    from dronemon.evaluation.command import evaluate_command
+
+    _hand_on(context, evaluate_command)
+
+
+@app.command("train", add_help_option=False, context_settings=_REST)
+def train(context: typer.Context) -> None:
+    """Train a policy. Kill it whenever you like: the same command goes on where it was."""
+    from dronemon.training.command import train_command
+
+    _hand_on(context, train_command)
+
+
+def _hand_on(context: typer.Context, command: Callable[..., None]) -> None:
+    """Have a command that is defined elsewhere parse the rest of the line."""
+    rest = typer.Typer(
+        pretty_exceptions_enable=False,
+        add_completion=False,
+        context_settings=app.info.context_settings,
+    )
+    rest.command()(command)
+    rest(args=context.args, prog_name=context.command_path)
+
 
 if __name__ == "__main__":
     main()

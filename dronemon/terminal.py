@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from dronemon.runner import FlightStatus
-from dronemon.runner.status import Level
+if TYPE_CHECKING:  # the runner is slow to import, and most commands do not fly
+    from dronemon.runner import FlightStatus
+    from dronemon.runner.status import Level
 
 console = Console()
 _errors = Console(stderr=True)
@@ -97,5 +99,6 @@ def facts_table(title: str, facts: Mapping[str, str]) -> Table:
 
 
 def print_error(message: str) -> None:
-    """Say what went wrong, on stderr."""
-    _errors.print(f"error: {message}", style="bold red", soft_wrap=True, markup=False)
+    """Say what went wrong, on stderr, a line each."""
+    for line in message.splitlines():
+        _errors.print(f"error: {line}", style="bold red", soft_wrap=True, markup=False)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from dronemon import cli
 
-ANIMALS = (Path(__file__).parents[1] / "missions" / "animals.yaml").read_text()
+MISSIONS = Path(__file__).parents[1] / "missions"
+ANIMALS = (MISSIONS / "animals.yaml").read_text()
+ALTITUDE = next(line.strip() for line in ANIMALS.splitlines() if "altitude_m" in line)
+SLOW = ("torch", "numba", "scipy", "mavsdk", "cv2", "rerun", "matplotlib")
 
 
 def _run(
@@ -40,19 +46,108 @@ def mission(tmp_path: Path):
 def test_check_prints_what_would_be_flown(run):
     code, out, _ = run("check", "--mission", "animals")
     assert code == 0
-    for words in ("26.7 m", "6000 m", "20.0 min", "22.5", "Bella (cow)", "300"):
+    for words in ("42.2 m", "7.1 pixels", "6000 m", "20.0 min", "22.5", "Bella (cow)", "300"):
         assert words in out
+
+
+def test_the_mission_is_an_argument_or_an_option(run, mission):
+    path = mission("kind: stamp", "kind: tsp")
+    for words in ((path,), ("--mission", path), ("-m", path)):
+        code, out, _ = run("check", *words)
+        assert code == 0
+        assert "m.yaml: can be flown" in " ".join(out.split())
+    code, _, err = run("check", path, "--mission", "animals")
+    assert code == 2
+    assert "given twice" in err
+
+
+def test_check_takes_the_options_of_fly(run, mission):
+    path = mission()
+    code, out, _ = run("check", path, "--planner", "tsp", "--horizon-au", "3", "--no-view")
+    assert code == 0
+    assert "600 m" in out
+    assert "tsp" in out
+    code, _, err = run("check", path, "--planner", "tsp", "--horizon-au", "60", "--speed-up", "99")
+    assert code == 2
+    assert err.startswith("error: --speed-up: ")
+    code, _, err = run("check", path, "--planner", "lawnmover", "--horizon-au", "60")
+    assert code == 2
+    told = sorted(line.split(": ")[1] for line in err.splitlines())
+    assert told == ["--horizon-au", "--planner"]
+
+
+def test_what_answers_at_once_imports_nothing_slow(mission):
+    """In a process of its own: here all of it is imported already."""
+    program = f"""
+import sys
+from dronemon import cli
+for words in (["--help"], ["fly", "-h"], ["planners"], ["schema"], ["missions"],
+              ["check", {mission("kind: stamp", "kind: search")!r}]):
+    sys.argv = ["dronemon", *words]
+    try:
+        cli.main()
+    except SystemExit as end:
+        assert not end.code, (words, end.code)
+    slow = [name for name in {SLOW} if name in sys.modules]
+    assert not slow, (words, slow)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize("command", [(), ("fly",), ("check",), ("evaluate",), ("train",)])
+def test_help_has_a_short_form_everywhere(run, command):
+    code, out, _ = run(*command, "-h")
+    assert code == 0
+    assert f"dronemon {' '.join(command)}".strip() in out
+    assert "--help" in out
+
+
+def test_options_reach_the_commands_that_are_defined_elsewhere(run, tmp_path: Path):
+    code, _, err = run("evaluate", "--out", str(tmp_path), "--planner", "tsp", "--prior", "some")
+    assert code == 2
+    assert "--prior some is none of" in err
+
+
+def test_a_mission_to_start_from_passes_the_check_and_is_never_written_over(run, tmp_path: Path):
+    path = tmp_path / "mine.yaml"
+    assert run("init", str(path))[0] == 0
+    assert run("check", str(path))[0] == 0
+    path.write_text("mine")
+    code, _, err = run("init", str(path))
+    assert code == 2
+    assert "mine.yaml" in err
+    assert path.read_text() == "mine"
 
 
 def test_lists(run):
     assert "animals" in run("missions")[1]
-    assert "lawnmower" in run("planners")[1]
-    assert '"horizon_au"' in run("schema")[1]
+    assert "lawnmower: parallel lanes" in run("planners")[1]
+
+
+def test_the_shipped_schema_is_what_the_command_prints(run):
+    printed = json.loads(run("schema")[1])
+    assert printed == json.loads((MISSIONS / "mission.schema.json").read_text())
+    kind = printed["$defs"]["Planner"]["properties"]["kind"]
+    assert kind["default"] == "search"
+    assert {"search", "stamp", "tsp"} <= set(kind["anyOf"][0]["enum"])
+    assert "clairvoyant" not in kind["anyOf"][0]["enum"]
+
+
+def test_what_the_detector_cannot_see_is_refused_with_the_numbers(run, mission):
+    code, _, err = run("check", mission(ALTITUDE, "altitude_m: 100"), "--planner", "tsp")
+    assert code == 2
+    assert "m.yaml:7: flight.altitude_m: 100 m is too high" in err
+    assert "3.2 pixels" in err
+    assert "64 m or lower" in err
+    wide = mission("side_m: 200", "side_m: 600")
+    code, _, err = run("fly", wide, "--planner", "tsp")
+    assert code == 2
+    assert "126.7 m" in err
 
 
 def test_bad_mission_is_exit_2_and_one_message(run, mission):
     for command in ("fly", "check"):
-        code, _, err = run(command, "--mission", mission("altitude_m: 35", "altitude_m: 3"))
+        code, _, err = run(command, "--mission", mission(ALTITUDE, "altitude_m: 3"))
         assert code == 2
         assert err.count("error:") == 1
         assert "m.yaml:7: flight.altitude_m" in err.replace("\n", "")
@@ -89,6 +184,10 @@ def test_real_vehicle_needs_a_camera_or_a_simulator_that_follows(run, mission):
     code, _, err = run("fly", "--mission", mission(), "--follow", "udpin://127.0.0.1:14550")
     assert code == 2
     assert "--vehicle" in err
+    for follow in ("udp://127.0.0.1:14550", "udpin://127.0.0.1", "tcpin://127.0.0.1:14550"):
+        code, _, err = run("check", "--follow", follow)
+        assert code == 2
+        assert err.startswith("error: --follow: ")
 
 
 def test_no_vehicle_is_exit_3_within_the_time_out(run, mission, tmp_path: Path):

@@ -31,6 +31,7 @@ LAYERS = {
     "evaluation": 4,
     "assembly": 5,
     "cli": 5,
+    "preflight": 5,
     "simulator": 5,
     "terminal": 5,
 }

@@ -1,36 +1,50 @@
-"""A YAML file as data whose keys keep their lines, so that an error names file, line and key."""
+"""A YAML file as data whose keys keep their lines, so that every error names file, line and key."""
 
 from __future__ import annotations
 
 import difflib
 import types
 import typing
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
 from dronemon.errors import MissionFileError
 
+Model = TypeVar("Model", bound=BaseModel)
 KeyPath = tuple[str | int, ...]
+Problem = tuple[KeyPath, str]
+"""A key and what is wrong with it."""
+Overrides = Mapping[tuple[str, str], tuple[str, object]]
+"""Section and key -> name and value of a command line option, as if it stood in the file."""
 _MAX_BYTES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """A YAML file of one mapping. kind: what such a file is called."""
+    """A YAML file of one mapping.
+
+    kind:    what such a file is called
+    data:    its content, options included
+    options: keys that came by an option -> its name
+    twice:   lines and names of keys that are given again
+    """
 
     path: Path
     kind: str
     root: yaml.Node
     data: dict[str, Any]
+    options: Mapping[KeyPath, str] = field(default_factory=dict)
+    twice: tuple[tuple[int, str], ...] = ()
 
     @classmethod
-    def read(cls, path: Path, kind: str) -> Document:
-        """Read a file, without aliases and with no key twice. Raises MissionFileError."""
+    def read(cls, path: Path, kind: str, overrides: Overrides | None = None) -> Document:
+        """Read a file without aliases. Raises MissionFileError."""
         try:
             if path.stat().st_size > _MAX_BYTES:
                 raise MissionFileError(f"{path}: larger than {_MAX_BYTES} bytes; is it a {kind}?")
@@ -50,33 +64,81 @@ class Document:
             raise MissionFileError(f"{path}: not valid YAML: nested too deeply") from exc
         if root is None or not isinstance(data, dict):
             raise MissionFileError(f"{path}:1: a {kind} is a mapping of sections, such as `area:`")
-        _refuse_duplicates(path, root)
-        return cls(path=path, kind=kind, root=root, data=data)
+        overrides = overrides or {}
+        for (section, key), (_, value) in overrides.items():
+            given = data.setdefault(section, {})
+            if isinstance(given, dict):
+                given[key] = value
+        options: dict[KeyPath, str] = {keys: name for keys, (name, _) in overrides.items()}
+        twice = tuple(_given_twice(root))
+        return cls(path=path, kind=kind, root=root, data=data, options=options, twice=twice)
+
+    def validate(
+        self, model: type[Model], check: Callable[[Model], Iterable[Problem]] = lambda _: ()
+    ) -> Model:
+        """The model of this file. Raises MissionFileError that tells all that is wrong with it.
+
+        check: finds what no single key can say; asked once every key is right by itself.
+        """
+        found: list[Problem]
+        try:
+            valid = model.model_validate(self.data)
+            found = list(check(valid))
+        except ValidationError as exc:
+            found = list(problems(model, exc))
+        if found or self.twice:
+            raise self.errors(found)
+        return valid
 
     def error(self, key_path: KeyPath, message: str) -> MissionFileError:
-        """An error about one key of this file."""
+        """An error about one key of this file, or the option that it came by."""
+        return MissionFileError(self._tell(key_path, message)[1])
+
+    def errors(self, found: Iterable[Problem]) -> MissionFileError:
+        """One error for all that was found, a line each, in the order of the file."""
+        told = [self._tell(*problem) for problem in found]
+        told += [
+            (line, f"{self.path}:{line}: {key}: given twice; remove one")
+            for line, key in self.twice
+        ]
+        return MissionFileError("\n".join(text for _, text in sorted(told, key=lambda t: t[0])))
+
+    def _tell(self, key_path: KeyPath, message: str) -> tuple[int, str]:
+        """The line of a key, 0 for an option, and the whole message."""
+        if option := self.options.get(key_path[:2]):
+            return 0, f"{option}: {message}"
         keys, line = [], 1
         node: yaml.Node | None = self.root
         for key in key_path:
             found = _child(node, key)
             if found is None:
-                # Not in the file; a union's branch, as tuple[...], is in the path but is no key.
-                if isinstance(key, str) and key.isidentifier():
-                    keys.append(key)
+                keys.append(str(key))  # not in the file
                 node = None
                 continue
             keys.append(f"[{key}]" if isinstance(key, int) else key)
             line, node = found
         name = ".".join(str(key) for key in keys).replace(".[", "[") or self.kind.split()[0]
-        return MissionFileError(f"{self.path}:{line}: {name}: {message}")
+        return line, f"{self.path}:{line}: {name}: {message}"
 
 
-def problems(model: type[BaseModel], exc: ValidationError) -> Iterator[tuple[KeyPath, str]]:
+def problems(model: type[BaseModel], exc: ValidationError) -> Iterator[Problem]:
     """What is wrong with data for a model: each key and its explanation, misspelt keys first."""
-    # A misspelt key is also a missing one: the misspelling is the story.
     found = sorted(exc.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    told: set[KeyPath] = set()
+    inside = {error["loc"][:n] for error in found for n in range(len(error["loc"]))}
     for error in found:
-        yield error["loc"], _explain(model, dict(error))
+        key_path = error["loc"]
+        if key_path in inside:
+            continue  # a section that is wrong for what is wrong inside it
+        if error["type"] == "extra_forbidden":
+            # A misspelt key is also a missing one: the misspelling is the story.
+            told |= {(*key_path[:-1], near) for near in _nearest(model, key_path)}
+        else:
+            # Each branch of a union has an error of its own: the first one speaks for the key.
+            key_path = tuple(takewhile(_is_key, key_path))
+        if key_path not in told:
+            yield key_path, _explain(model, dict(error))
+            told.add(key_path)
 
 
 def _refuse_aliases(path: Path, text: str) -> None:
@@ -87,19 +149,18 @@ def _refuse_aliases(path: Path, text: str) -> None:
             raise MissionFileError(f"{path}:{line}: *{event.anchor}: aliases are not allowed")
 
 
-def _refuse_duplicates(path: Path, node: yaml.Node) -> None:
+def _given_twice(node: yaml.Node) -> Iterator[tuple[int, str]]:
+    """Line and name of each key that its mapping has already."""
     if isinstance(node, yaml.MappingNode):
         seen: set[str] = set()
         for key, value in node.value:
             if key.value in seen:
-                raise MissionFileError(
-                    f"{path}:{key.start_mark.line + 1}: {key.value}: given twice; remove one"
-                )
+                yield key.start_mark.line + 1, key.value
             seen.add(key.value)
-            _refuse_duplicates(path, value)
+            yield from _given_twice(value)
     elif isinstance(node, yaml.SequenceNode):
         for item in node.value:
-            _refuse_duplicates(path, item)
+            yield from _given_twice(item)
 
 
 def _child(node: yaml.Node | None, key: str | int) -> tuple[int, yaml.Node] | None:
@@ -128,13 +189,26 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
 
 def _explain_unknown(model: Any, key_path: KeyPath) -> str:
     """Name the keys allowed beside an unknown one, and the nearest of them."""
+    hint = "".join(f"; did you mean `{near}`?" for near in _nearest(model, key_path))
+    return f"no such key{hint} (allowed here: {', '.join(_allowed(model, key_path))})"
+
+
+def _nearest(model: Any, key_path: KeyPath) -> list[str]:
+    """The allowed key that an unknown one is most like, if it is like one."""
+    return difflib.get_close_matches(str(key_path[-1]), _allowed(model, key_path), n=1, cutoff=0.4)
+
+
+def _allowed(model: Any, key_path: KeyPath) -> list[str]:
+    """The keys of the section that a key lies in."""
     for key in key_path[:-1]:
         if isinstance(key, str):
             model = _model_of(model.model_fields[key].annotation)
-    allowed = list(model.model_fields)
-    near = difflib.get_close_matches(str(key_path[-1]), allowed, n=1, cutoff=0.4)
-    hint = f"; did you mean `{near[0]}`?" if near else ""
-    return f"no such key{hint} (allowed here: {', '.join(allowed)})"
+    return list(model.model_fields)
+
+
+def _is_key(part: str | int) -> bool:
+    """Whether a part of a path is a key or an index, and no union's branch, such as tuple[...]."""
+    return isinstance(part, int) or part.isidentifier()
 
 
 def _model_of(annotation: Any) -> Any:

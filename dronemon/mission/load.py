@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import resources
+from itertools import chain
 from pathlib import Path
-
-from pydantic import ValidationError
+from typing import Any
 
 from dronemon.errors import MissionFileError
-from dronemon.mission.document import Document, KeyPath, problems
-from dronemon.mission.schema import Mission
-
-Overrides = Mapping[tuple[str, str], tuple[str, object]]
-_CLIMB_M_S = 1.5  # cautious rates for the estimate of flight time
-_DESCENT_M_S = 0.7
+from dronemon.mission.checks import mission_problems
+from dronemon.mission.document import Document, KeyPath, Overrides, Problem
+from dronemon.mission.schema import Mission, is_video_file
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,97 +60,34 @@ def shipped_missions() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-def load_mission(path: Path, overrides: Overrides | None = None) -> MissionFile:
+def load_mission(
+    path: Path,
+    overrides: Overrides | None = None,
+    more_checks: Callable[[Mission], Iterable[Problem]] = lambda _: (),
+) -> MissionFile:
     """Read, validate and check a mission file.
 
-    overrides: (section, key) -> name and value of a command line option, taken as if it stood in
-    the file. Raises MissionFileError.
+    overrides:   command line options; more_checks: what only the caller can tell is wrong
+
+    Raises MissionFileError that tells all that is wrong.
     """
-    overrides = overrides or {}
-    document = Document.read(path, "mission file")
-    for (section, key), (_, value) in overrides.items():
-        given = document.data.setdefault(section, {})
-        if isinstance(given, dict):
-            given[key] = value
-            if key == "horizon_au":
-                given.pop("horizon_min", None)
-    try:
-        mission = Mission.model_validate(document.data)
-    except ValidationError as exc:
-        loc, message = next(problems(Mission, exc))
-        for key_path, (option, _) in overrides.items():
-            if loc[:2] == key_path:
-                raise MissionFileError(f"{option}: {message}") from exc
-        raise document.error(loc, message) from exc
-    loaded = MissionFile(document=document, mission=mission)
-    _check(loaded)
-    return loaded
+    document = Document.read(path, "mission file", overrides)
+    if ("flight", "horizon_au") in document.options and isinstance(document.data["flight"], dict):
+        document.data["flight"].pop("horizon_min", None)
+    _anchor_files(document.data, path.parent)
+    mission = document.validate(Mission, lambda m: chain(mission_problems(m), more_checks(m)))
+    return MissionFile(document=document, mission=mission)
 
 
-def _check(file: MissionFile) -> None:
-    """What no single key can say. Raises MissionFileError."""
-    mission = file.mission
-    for key in ("appearance", "name"):
-        first: dict[str, int] = {}
-        for index, target in enumerate(mission.targets):
-            value = getattr(target, key)
-            if value in first:
-                raise file.error(
-                    ("targets", index, key),
-                    f"{value!r} is already the {key} of target {first[value] + 1}; "
-                    "targets are told apart by it, so give each its own",
-                )
-            first[value] = index
-    needed_m = mission.needed_altitude_m
-    if mission.flight.altitude_m < needed_m:
-        raise file.error(
-            ("flight", "altitude_m"),
-            f"{mission.flight.altitude_m:g} m is too low: the camera must see "
-            f"{mission.sensor_radius_m:g} m around the drone (0.1 of the area's side), which takes "
-            f"{needed_m:.1f} m at its angle of view; fly higher or make the area smaller",
-        )
-    if problem := battery_problem(mission):
-        horizon = "horizon_min" if mission.flight.horizon_min is not None else "horizon_au"
-        raise file.error(("flight", horizon), problem)
-
-
-def outbound_min(mission: Mission, away_m: float = 0.0) -> float:
-    """Time in the air until the return begins: climb, the longest way to the start, patrol.
-
-    away_m: distance of the area's centre from home.
-    """
-    flight = mission.flight
-    approach_s = (away_m + mission.area.side_m * 0.71) / flight.cruise_speed_m_s
-    return (flight.altitude_m / _CLIMB_M_S + approach_s + mission.patrol_duration_s) / 60.0
-
-
-def return_min(mission: Mission, away_m: float = 0.0) -> float:
-    """Time from the farthest corner to home and down to the ground."""
-    flight = mission.flight
-    way_s = (away_m + mission.area.side_m * 0.71) / flight.cruise_speed_m_s
-    return (way_s + flight.altitude_m / _DESCENT_M_S) / 60.0
-
-
-def battery_problem(mission: Mission, away_m: float = 0.0) -> str | None:
-    """Say why the battery does not allow the flight, if so."""
-    flight = mission.flight
-    minutes, limit = outbound_min(mission, away_m), usable_min(mission)
-    if minutes > limit:
-        return (
-            f"take-off, the way to the start and the patrol take {minutes:.1f} min, but the "
-            f"battery allows {limit:.1f} min ({flight.endurance_min:g} min endurance less "
-            f"{flight.return_battery:.0%} to return); shorten the horizon, the side or the way"
-        )
-    minutes, limit = return_min(mission, away_m), flight.endurance_min * flight.return_battery
-    if minutes > limit:
-        return (
-            f"the way back from the farthest corner takes {minutes:.1f} min, but at "
-            f"{flight.return_battery:.0%} the battery has {limit:.1f} min left; raise "
-            "return_battery, or bring home and area nearer to each other"
-        )
-    return None
-
-
-def usable_min(mission: Mission) -> float:
-    """Flight time until the battery reaches the level at which the drone returns."""
-    return mission.flight.endurance_min * (1.0 - mission.flight.return_battery)
+def _anchor_files(data: dict[str, Any], folder: Path) -> None:
+    """Have files that a mission names, relative to itself, found from anywhere."""
+    for section, key, is_file in (
+        ("planner", "checkpoint", lambda name: Path(name).suffix or Path(name).parent != Path()),
+        ("camera", "url", is_video_file),
+    ):
+        given = data.get(section)
+        if not isinstance(given, dict):
+            continue
+        name = given.get(key)
+        if isinstance(name, str) and is_file(name):
+            given[key] = str((folder / name).absolute())

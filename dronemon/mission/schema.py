@@ -10,7 +10,7 @@ import math
 import re
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from dronemon.problem import LENGTH_SCALE_AU, SENSOR_RADIUS_AU, TIME_SCALE_AU
 from dronemon.types import CameraModel
@@ -20,6 +20,10 @@ Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
 APPEARANCES = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
 """Animals that the built-in detector tells apart."""
 Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
+
+_GRAVITY_M_S2 = 9.81
+_NETWORK_SCHEMES = ("udpin", "udpout", "tcpin", "tcpout")
+_SERIAL_EXAMPLE = "serial:///dev/ttyACM0:57600"
 
 
 class Section(BaseModel):
@@ -61,11 +65,15 @@ class Flight(Section):
     """How the drone flies."""
 
     altitude_m: float = Field(
-        35.0, ge=2.0, le=500.0, description="Height above the take-off point on patrol."
+        45.0, ge=2.0, le=500.0, description="Height above the take-off point on patrol."
     )
     cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0, description="Ground speed on patrol.")
     max_acceleration_m_s2: float = Field(
-        4.0, ge=0.5, le=10.0, description="Horizontal acceleration that guidance asks for."
+        2.0,
+        ge=0.5,
+        le=10.0,
+        description="Horizontal acceleration that guidance asks for; the drone, and the camera "
+        "with it, banks for it.",
     )
     horizon_au: float | None = Field(
         None,
@@ -98,6 +106,11 @@ class Flight(Section):
             raise ValueError("give horizon_au or horizon_min, not both")
         return self
 
+    @property
+    def bank_rad(self) -> float:
+        """How far the drone banks for the acceleration that guidance asks for."""
+        return math.atan(self.max_acceleration_m_s2 / _GRAVITY_M_S2)
+
 
 class Vehicle(Section):
     """The vehicle and the limits on waiting for it."""
@@ -105,7 +118,7 @@ class Vehicle(Section):
     url: str = Field(
         "mock",
         description="`mock`, or where MAVLink comes from: udpin://IP:PORT, tcpout://IP:PORT, "
-        "serial://DEV:BAUD.",
+        "serial://DEVICE:BAUD.",
     )
     speed_up: float = Field(
         15.0, ge=1.0, le=20.0, description="How much faster than real time the mock flies."
@@ -126,16 +139,12 @@ class Vehicle(Section):
         5.0, ge=1.0, le=60.0, description="Silence after which the link counts as lost."
     )
 
-    @model_validator(mode="after")
-    def _known_url(self) -> Vehicle:
-        if self.url != "mock" and not re.match(
-            r"^(udpin|udpout|tcpin|tcpout|serial)://\S+$", self.url
-        ):
-            raise ValueError(
-                f"url {self.url!r} is neither `mock` nor a MAVLink URL such as "
-                "udpin://127.0.0.1:14540 or serial:///dev/ttyACM0:57600"
-            )
-        return self
+    @field_validator("url")
+    @classmethod
+    def _known_url(cls, url: str) -> str:
+        if url != "mock" and (problem := mavlink_url_problem(url)):
+            raise ValueError(f"{problem}; or `mock` for the built-in vehicle")
+        return url
 
     @property
     def is_mock(self) -> bool:
@@ -146,12 +155,12 @@ class Vehicle(Section):
 class Camera(Section):
     """The downward camera."""
 
-    width_px: int = Field(640, ge=64, le=8192)
-    height_px: int = Field(480, ge=64, le=8192)
+    width_px: int = Field(640, ge=64, le=8192, description="Width of the pictures.")
+    height_px: int = Field(480, ge=64, le=8192, description="Height of the pictures.")
     url: str = Field(
         "simulated",
         description="`simulated`, or where pictures come from: rtsp://..., udp://..., a video file "
-        "or the number of a local camera.",
+        "(its path from this file) or the number of a local camera.",
     )
     latency_s: float = Field(
         0.0, ge=0.0, le=5.0, description="Age of a picture when it arrives; not for the simulated."
@@ -185,8 +194,8 @@ class Detector(Section):
 class Target(Section):
     """One animal to watch."""
 
-    name: str = Field(min_length=1, max_length=40)
-    appearance: Appearance
+    name: str = Field(min_length=1, max_length=40, description="What records and tables call it.")
+    appearance: Appearance = Field(description="What it looks like; the detector knows it by that.")
     prior_au: Place | Literal["simulated"] | None = Field(
         None,
         description="Position known before take-off; `simulated` takes it from the "
@@ -211,7 +220,7 @@ class Belief(Section):
 class Roadmap(Section):
     """The random roadmap."""
 
-    num_nodes: int = Field(200, ge=10, le=2000)
+    num_nodes: int = Field(200, ge=10, le=2000, description="Places that it joins.")
     num_neighbours: int = Field(
         10, ge=2, le=50, description="Nearest neighbours each node is joined to, itself included."
     )
@@ -220,17 +229,28 @@ class Roadmap(Section):
 class Planner(Section):
     """What chooses the waypoints."""
 
-    kind: str = Field("tsp", description="Name of a planner; `dronemon planners` lists them.")
-    checkpoint: str | None = Field(None, description="Trained weights of a learned planner.")
+    kind: str = Field(
+        "search",
+        description="Name of a planner, which `dronemon planners` lists, or package.module:Class.",
+    )
+    checkpoint: str | None = Field(
+        None,
+        description="Trained weights of a learned planner: a path from this file, or the name of "
+        "shipped ones, which are taken if absent.",
+    )
 
 
 class Simulation(Section):
     """The simulated world; a real vehicle over real animals ignores it."""
 
-    seed: int = Field(0, ge=0)
+    seed: int = Field(
+        0, ge=0, description="Root of all that is drawn: world, start, roadmap, planner."
+    )
     speed_ratio: float = Field(0.05, ge=0.0, lt=1.0, description="Targets' speed over the drone's.")
     wind_m_s: float = Field(0.0, ge=0.0, le=15.0, description="Mean wind speed.")
-    wind_from_deg: float = Field(270.0, ge=0.0, le=360.0)
+    wind_from_deg: float = Field(
+        270.0, ge=0.0, le=360.0, description="Where it comes from, clockwise from north."
+    )
 
 
 class View(Section):
@@ -251,13 +271,20 @@ class Record(Section):
 class Mission(Section):
     """One flight."""
 
-    name: str = Field("mission", min_length=1, max_length=80)
+    name: str = Field(
+        "mission", min_length=1, max_length=80, description="What records and tables call it."
+    )
     area: Area = Area()
     flight: Flight = Flight()
     vehicle: Vehicle = Vehicle()
     camera: Camera = Camera()
     detector: Detector = Detector()
-    targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=len(APPEARANCES))
+    targets: tuple[Target, ...] = Field(
+        strict=False,
+        min_length=1,
+        max_length=len(APPEARANCES),
+        description="The animals to watch, each with its own name and appearance.",
+    )
     belief: Belief = Belief()
     roadmap: Roadmap = Roadmap()
     planner: Planner = Planner()
@@ -284,8 +311,35 @@ class Mission(Section):
 
     @property
     def needed_altitude_m(self) -> float:
-        """Height from which a level camera sees the whole footprint in its shorter direction."""
-        half_angle = (
-            min(self.camera.model.horizontal_fov_rad, self.camera.model.vertical_fov_rad) / 2.0
+        """Height from which a banked camera sees the whole footprint in its shorter direction."""
+        camera = self.camera.model
+        half_angle_rad = min(camera.horizontal_fov_rad, camera.vertical_fov_rad) / 2.0
+        if half_angle_rad <= self.flight.bank_rad:
+            return math.inf
+        return self.sensor_radius_m / math.tan(half_angle_rad - self.flight.bank_rad)
+
+
+def mavlink_url_problem(url: str) -> str | None:
+    """Say why a URL names no MAVLink connection, if so, with one of the right form."""
+    scheme, separator, rest = url.partition("://")
+    match = re.fullmatch(r"([^\s:/]+):(\d+)", rest)
+    if not separator or scheme not in (*_NETWORK_SCHEMES, "serial"):
+        guess = {"udp": "udpin", "tcp": "tcpout"}.get(scheme, "udpin")
+        rest = rest if match else "127.0.0.1:14540"
+        return (
+            f"{url!r} is not of the form udpin://IP:PORT (also udpout, tcpin, tcpout) or "
+            f"serial://DEVICE:BAUD; did you mean {guess}://{rest}?"
         )
-        return self.sensor_radius_m / math.tan(half_angle)
+    if scheme == "serial":
+        is_right = re.fullmatch(r"[^\s:]+(:\d+)?", rest) is not None
+        return None if is_right else f"{url!r} is not serial://DEVICE:BAUD, as in {_SERIAL_EXAMPLE}"
+    if match is None:
+        return f"{url!r} is not {scheme}://IP:PORT, such as {scheme}://127.0.0.1:14540"
+    if not 0 < int(match[2]) < 65536:
+        return f"the port of {url!r} is {match[2]}, not 1 to 65535"
+    return None
+
+
+def is_video_file(camera_url: str) -> bool:
+    """Whether pictures come from a file: neither the simulator, a camera's number nor a stream."""
+    return camera_url != "simulated" and not camera_url.isdigit() and "://" not in camera_url

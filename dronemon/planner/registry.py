@@ -1,9 +1,16 @@
-"""Planners by name."""
+"""Planners by name: those that come with the package, entry points, and `package.module:Class`."""
 
 from __future__ import annotations
 
 import difflib
+import importlib
+import inspect
+import re
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
 
 from dronemon.errors import OptionError
 from dronemon.planner.lawnmower import Lawnmower
@@ -11,6 +18,27 @@ from dronemon.planner.planner import Planner
 from dronemon.planner.tsp import CarriedOn, ClairvoyantTspLoop, LastSeen, Predicted, TspLoop
 
 # What is slow to import is imported where it is made: most runs need one planner.
+
+ENTRY_POINTS = "dronemon.planners"
+"""Group of entry points by which other packages bring planners."""
+CLASS_PATTERN = r"^([A-Za-z_][\w.]*):([A-Za-z_]\w*)$"
+"""What names a planner's class: package.module:Class."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """A planner that comes with the package.
+
+    about:       one line of what it is
+    make:        makes it; one with weights from a checkpoint's name, the shipped one for None
+    has_weights: whether it is made from a checkpoint
+    is_bound:    whether it must be told the future, and so cannot fly
+    """
+
+    about: str
+    make: Callable[..., Planner]
+    has_weights: bool = False
+    is_bound: bool = False
 
 
 def _learned(checkpoint: str | None) -> Planner:
@@ -37,45 +65,145 @@ def _clairvoyant_search() -> Planner:
     return ClairvoyantSearchPlanner()
 
 
-_LEARNED: dict[str, Callable[[str | None], Planner]] = {"stamp": _learned}
-"""Planners made from trained weights: a checkpoint's path or name, the shipped one for None."""
-_OTHERS: dict[str, Callable[[], Planner]] = {
-    "clairvoyant": ClairvoyantTspLoop,
-    "clairvoyant-search": _clairvoyant_search,
-    "lawnmower": Lawnmower,
-    "search": _search,
-    "search-roadmap": _roadmap_search,
-    "tsp": lambda: TspLoop("tsp", LastSeen()),
-    "tsp-heading": lambda: TspLoop("tsp-heading", CarriedOn()),
-    "tsp-predicted": lambda: TspLoop("tsp-predicted", Predicted()),
+_SHIPPED = {
+    "clairvoyant": Entry(
+        about="tsp, told where targets will be: a bound for `dronemon evaluate`",
+        make=ClairvoyantTspLoop,
+        is_bound=True,
+    ),
+    "clairvoyant-search": Entry(
+        about="search, told where targets will be: a bound for `dronemon evaluate`",
+        make=_clairvoyant_search,
+        is_bound=True,
+    ),
+    "lawnmower": Entry(
+        about="parallel lanes over the whole area, blind to what is seen", make=Lawnmower
+    ),
+    "search": Entry(
+        about="tries paths ahead on samples of where targets may be; the default", make=_search
+    ),
+    "search-roadmap": Entry(about="search along the edges of the roadmap", make=_roadmap_search),
+    "stamp": Entry(
+        about="attention network over the roadmap; flies trained weights",
+        make=_learned,
+        has_weights=True,
+    ),
+    "tsp": Entry(
+        about="shortest loop over where targets were last seen; the paper's baseline",
+        make=lambda: TspLoop("tsp", LastSeen()),
+    ),
+    "tsp-heading": Entry(
+        about="tsp, with targets carried on along their headings",
+        make=lambda: TspLoop("tsp-heading", CarriedOn()),
+    ),
+    "tsp-predicted": Entry(
+        about="tsp over the peaks of the belief a little later",
+        make=lambda: TspLoop("tsp-predicted", Predicted()),
+    ),
 }
 
 
 def planner_names() -> tuple[str, ...]:
-    """Names that `create_planner` takes, sorted."""
-    return tuple(sorted({**_LEARNED, **_OTHERS}))
+    """Names of the planners that come with the package, sorted."""
+    return tuple(sorted(_SHIPPED))
 
 
 def has_weights(kind: str) -> bool:
     """Whether planners of this name are made from a checkpoint."""
-    return kind in _LEARNED
+    return kind in _SHIPPED and _SHIPPED[kind].has_weights
+
+
+def is_bound(kind: str) -> bool:
+    """Whether planners of this name must be told the future, and so cannot fly."""
+    return kind in _SHIPPED and _SHIPPED[kind].is_bound
 
 
 def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
     """Make a planner.
 
-    kind: one of `planner_names()`; checkpoint: trained weights, for planners that have some.
+    kind:       one of `planner_names()`, an entry point's name, or package.module:Class
+    checkpoint: trained weights, for planners that have some
 
-    Raises OptionError for an unknown kind, or a checkpoint given to a planner without weights.
+    Raises OptionError for a kind that cannot be made, or a checkpoint given to a planner without
+    weights; PolicyError for a checkpoint that cannot be used.
     """
-    if kind in _LEARNED:
-        return _LEARNED[kind](checkpoint)
-    if kind not in _OTHERS:
-        near = difflib.get_close_matches(kind, planner_names(), n=1)
-        nearest = f"did you mean {near[0]}? " if near else ""
-        raise OptionError(
-            f"there is no planner {kind!r}; {nearest}there are: {', '.join(planner_names())}"
-        )
+    if has_weights(kind):
+        return _SHIPPED[kind].make(checkpoint)
     if checkpoint is not None:
         raise OptionError(f"planner {kind!r} has no weights, but checkpoint {checkpoint} was given")
-    return _OTHERS[kind]()
+    if kind in _SHIPPED:
+        return _SHIPPED[kind].make()
+    if ":" in kind:
+        return _make_outside(kind)
+    brought = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+    if kind in brought:
+        return _make_outside(brought[kind])
+    names = sorted({*_SHIPPED, *brought})
+    nearest = "".join(f"did you mean {n}? " for n in difflib.get_close_matches(kind, names, n=1))
+    raise OptionError(
+        f"there is no planner {kind!r}; {nearest}there are: {', '.join(names)}, and your own as "
+        "package.module:Class"
+    )
+
+
+def describe_planners() -> dict[str, str]:
+    """Name -> one line of what it is, entry points included."""
+    told = {kind: entry.about for kind, entry in sorted(_SHIPPED.items())}
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            about = (inspect.getdoc(_find_class(point.value)) or "").split("\n")[0]
+        except OptionError as exc:
+            about = f"cannot be loaded: {exc}"
+        told.setdefault(point.name, about or point.value)
+    return told
+
+
+def _make_outside(path: str) -> Planner:
+    """The planner of a class outside this package. Raises OptionError."""
+    make = _find_class(path)
+    try:
+        planner = make()
+    except Exception as exc:  # a class of others may fail in any way
+        raise OptionError(
+            f"planner {path!r} cannot be made by calling it without arguments: {exc!r}"
+        ) from exc
+    missing = [
+        what
+        for what, is_there in {
+            "name": isinstance(getattr(planner, "name", None), str),
+            "reset(briefing, roadmap)": callable(getattr(planner, "reset", None)),
+            "next_waypoint(snapshot)": callable(getattr(planner, "next_waypoint", None)),
+        }.items()
+        if not is_there
+    ]
+    if missing:
+        raise OptionError(
+            f"planner {path!r} has no {' and no '.join(missing)}; "
+            "dronemon.planner.Planner says what a planner gives"
+        )
+    return planner
+
+
+def _find_class(path: str) -> Callable[[], Planner]:
+    """What package.module:Class names, also in the folder that we run in. Raises OptionError."""
+    match = re.match(CLASS_PATTERN, path)
+    if match is None:
+        raise OptionError(f"planner {path!r} is not of the form package.module:Class")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
+    try:
+        module = importlib.import_module(match[1])
+    except Exception as exc:  # a module of others may fail in any way
+        raise OptionError(
+            f"planner {path!r}: module {match[1]} cannot be imported: {exc!r}; run where it lies, "
+            "or install it"
+        ) from exc
+    found: Callable[[], Planner] | None = getattr(module, match[2], None)
+    if not callable(found):
+        own = [v for v in vars(module).values() if getattr(v, "__module__", "") == match[1]]
+        classes = [v.__name__ for v in own if isinstance(v, type)]
+        raise OptionError(
+            f"planner {path!r}: module {match[1]} has no class {match[2]}; "
+            f"its classes are: {', '.join(classes) or 'none'}"
+        )
+    return found

@@ -13,7 +13,7 @@ from dronemon.camera import FrameSource
 from dronemon.errors import ControlTaken, DronemonError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import MissionFile
-from dronemon.mission.load import battery_problem
+from dronemon.mission.checks import battery_problem
 from dronemon.planner import Planner
 from dronemon.recorder import RunRecorder
 from dronemon.runner.homecoming import Homecoming

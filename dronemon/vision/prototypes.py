@@ -14,6 +14,8 @@ from dronemon.types import FloatArray
 
 ENLARGEMENT = 1.8
 """Size of the animals in the pictures over that of real ones."""
+NEEDED_PX_PER_M = 5.0
+"""Size on the picture of a metre on the ground below which animals are no longer told apart."""
 
 COAT_COLOURS = {
     "black": ((18, 18, 20), (60, 61, 63), (80, 82, 84)),

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
 from dronemon.errors import MissionFileError
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
+from dronemon.mission.schema import mavlink_url_problem
+from dronemon.mission.template import mission_template
 
 ROOT = Path(__file__).parents[2]
 ANIMALS = (ROOT / "missions" / "animals.yaml").read_text().split("\n", 1)[1]
+ALTITUDE = next(line.strip() for line in ANIMALS.splitlines() if "altitude_m" in line)
 
 
 def _error(tmp_path: Path, text: str) -> str:
@@ -32,10 +34,10 @@ def test_animals_is_the_papers_experiment():
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
-        ("altitude_m: 35", "altitude_m: 10", 6, ["flight.altitude_m", "too low", "26.7 m"]),
+        (ALTITUDE, "altitude_m: 30", 6, ["flight.altitude_m", "too low", "11.5 degrees", "42.2 m"]),
         ("altitude_m:", "altitud:", 6, ["flight.altitud", "did you mean `altitude_m`"]),
         ("altitude_m:", "altitude_ft:", 6, ["flight.altitude_ft", "did you mean `altitude_m`"]),
-        ("altitude_m: 35", "altitude_m: 35 m", 6, ["valid number", "'35 m'", "unit"]),
+        (ALTITUDE, "altitude_m: 45 m", 6, ["valid number", "'45 m'", "unit"]),
         ("horizon_au: 30", "horizon_au: true", 8, ["flight.horizon_au", "valid number", "True"]),
         ("appearance: fox", "apearance: fox", 12, ["did you mean `appearance`"]),
         ("horizon_au: 30", "return_battery: 0.02", 5, ["horizon_au", "way back", "return_battery"]),
@@ -53,7 +55,9 @@ def test_animals_is_the_papers_experiment():
         ("horizon_au: 30", "horizon_au: 30\n  horizon_min: 3", 5, ["flight", "not both"]),
         ("targets:", "targets: [", 10, ["not valid YAML"]),
         ("simulation:", "vehicle:\n  url: 14540\nsimulation:", 16, ["vehicle.url"]),
-        ("simulation:", "vehicle: {url: 'udp:1'}\nsimulation:", 15, ["vehicle", "udpin://"]),
+        ("simulation:", "vehicle: {url: 'udp:1'}\nsimulation:", 15, ["vehicle.url", "udpin://"]),
+        (ALTITUDE, "max_acceleration_m_s2: 10", 5, ["altitude_m", "no height will do", "45.5"]),
+        ("simulation:", "camera: {url: walk.mp4}\nsimulation:", 15, ["walk.mp4", "no such file"]),
     ],
 )
 def test_message_names_line_and_key(
@@ -126,6 +130,102 @@ def test_horizon_in_minutes(tmp_path: Path):
     assert load_mission(path, option).mission.horizon_au == 3.0
 
 
-def test_shipped_schema_is_the_models():
-    shipped = json.loads((ROOT / "missions" / "mission.schema.json").read_text())
-    assert shipped == Mission.model_json_schema()
+def test_all_that_is_wrong_is_told_at_once_in_the_order_of_the_file(tmp_path: Path):
+    text = ANIMALS.replace("side_m:", "sid_m:").replace("name: animals", "name: a\nname: b")
+    text = text.replace("seed: 0", "seed: none")
+    text = text.replace("appearance: fox, prior_au: simulated", "appearance: fox, prior_au: [2, 3]")
+    lines = _error(tmp_path, text).splitlines()
+    assert [line.rpartition("m.yaml")[2].split(":")[1] for line in lines] == ["3", "5", "13", "17"]
+    assert "name: given twice" in lines[0]
+    assert "area.sid_m: no such key; did you mean `side_m`" in lines[1]
+    assert "targets[2].prior_au" in lines[2]
+    assert "simulation.seed" in lines[3]
+
+
+def test_what_keys_say_together_is_told_at_once(tmp_path: Path):
+    text = ANIMALS.replace(ALTITUDE, "altitude_m: 20").replace("horizon_au: 30", "horizon_au: 60")
+    text = text.replace("name: Zuri, appearance: zebra", "name: Bella, appearance: cow")
+    lines = _error(tmp_path, text).splitlines()
+    assert len(lines) == 4
+    for line, words in zip(lines, ("too low", "battery", "appearance", "name"), strict=True):
+        assert words in line
+
+
+def test_a_misspelt_key_is_not_missing_too(tmp_path: Path):
+    message = _error(tmp_path, ANIMALS.replace("appearance: fox", "apearance: fox"))
+    assert len(message.splitlines()) == 1
+
+
+def test_what_came_by_an_option_is_its_fault(tmp_path: Path):
+    path = tmp_path / "m.yaml"
+    path.write_text(ANIMALS)
+    option = {("flight", "horizon_au"): ("--horizon-au", 60.0)}
+    with pytest.raises(MissionFileError, match=r"^--horizon-au: take-off, .* battery allows"):
+        load_mission(path, option)
+    option = {("vehicle", "url"): ("--vehicle", "udp://127.0.0.1:14540")}
+    with pytest.raises(MissionFileError, match=r"^--vehicle: .*did you mean udpin://127.0.0.1:145"):
+        load_mission(path, option)
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("udpin://127.0.0.1", "such as udpin://127.0.0.1:14540"),
+        ("udpin://127.0.0.1:99999", "99999, not 1 to 65535"),
+        ("udpin://127.0.0.1:0", "0, not 1 to 65535"),
+        ("udp://127.0.0.1:14540", "did you mean udpin://127.0.0.1:14540?"),
+        ("tcp://10.0.0.2:5760", "did you mean tcpout://10.0.0.2:5760?"),
+        ("127.0.0.1:14540", "did you mean udpin://127.0.0.1:14540?"),
+        ("serial://", "serial:///dev/ttyACM0:57600"),
+        ("serial:///dev/ttyACM0:fast", "serial:///dev/ttyACM0:57600"),
+    ],
+)
+def test_a_wrong_mavlink_url_is_told_the_right_form(url: str, words: str):
+    assert words in str(mavlink_url_problem(url))
+
+
+@pytest.mark.parametrize(
+    "url", ["udpin://0.0.0.0:14540", "udpout://10.0.0.2:1", "tcpin://127.0.0.1:65535"]
+)
+def test_a_right_mavlink_url_is_taken(url: str):
+    assert mavlink_url_problem(url) is None
+    assert mavlink_url_problem("serial:///dev/ttyACM0:57600") is None
+
+
+def test_files_are_found_from_the_mission_and_not_from_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "walk.mp4").touch()
+    path = tmp_path / "there" / "m.yaml"
+    path.write_text(
+        ANIMALS.replace("kind: stamp", "kind: stamp\n  checkpoint: best.pt")
+        + "camera: {url: walk.mp4}\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    mission = load_mission(Path("there/m.yaml")).mission
+    assert mission.camera.url == str(tmp_path / "there" / "walk.mp4")
+    assert mission.planner.checkpoint == str(tmp_path / "there" / "best.pt")
+
+
+def test_every_key_says_what_it_means():
+    schema = Mission.model_json_schema()
+    silent = [
+        f"{name}.{key}"
+        for name, section in {"Mission": schema, **schema["$defs"]}.items()
+        for key, value in section["properties"].items()
+        if "description" not in value and "$ref" not in value
+    ]
+    assert silent == []
+    assert all("description" in section for section in schema["$defs"].values())
+
+
+def test_a_mission_to_start_from_says_what_the_schema_says(tmp_path: Path):
+    path = tmp_path / "m.yaml"
+    path.write_text(mission_template())
+    mission = load_mission(path).mission
+    assert mission == Mission(targets=mission.targets)
+    for section in Mission.model_fields.values():
+        for key, field in getattr(section.annotation, "model_fields", {}).items():
+            assert f"{key}: " in path.read_text()
+            assert field.description in path.read_text()

@@ -35,7 +35,7 @@ from dronemon.viz import FlightView
 MISSION = """
 name: small
 area: {side_m: 100}
-flight: {altitude_m: 14, cruise_speed_m_s: 5, horizon_au: 8, start_au: [0.5, 0.4]}
+flight: {altitude_m: 22, cruise_speed_m_s: 5, horizon_au: 8, start_au: [0.5, 0.4]}
 camera: {timeout_s: 1.5}
 vehicle: {link_loss_timeout_s: 2.0}
 targets:

@@ -1,0 +1,107 @@
+"""What a mission asks of simulator, detector and planner, judged before anything is started."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+
+from dronemon.errors import OptionError, PolicyError
+from dronemon.mission import Mission, MissionFile, find_mission, load_mission
+from dronemon.mission.document import Overrides, Problem
+from dronemon.mission.schema import mavlink_url_problem
+from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
+from dronemon.planner.registry import is_bound
+from dronemon.vision.prototypes import NEEDED_PX_PER_M
+
+
+def load_checked(name: str, overrides: Overrides, follow: str | None) -> MissionFile:
+    """A mission that can be flown as it stands.
+
+    name:   of its file, or of a shipped mission
+    follow: second MAVLink URL of a real vehicle, for simulated animals and camera to follow it
+
+    Raises MissionFileError that tells all that is wrong; OptionError for `follow`.
+    """
+    if follow is not None and (problem := _follow_problem(follow)):
+        raise OptionError(f"--follow: {problem}")
+
+    def problems(mission: Mission) -> Iterator[Problem]:
+        yield from _simulator_problems(mission, has_simulator=follow is not None)
+        yield from _sight_problems(mission)
+        yield from _planner_problems(mission)
+
+    file = load_mission(find_mission(name), overrides, problems)
+    if file.mission.vehicle.is_mock and follow is not None:
+        raise OptionError("--follow goes with --vehicle URL; the mock has its own animals")
+    return file
+
+
+@cache
+def make_planner(kind: str, checkpoint: str | None) -> Planner:
+    """The planner of a flight, one a process. Raises OptionError or PolicyError."""
+    planner = None if is_bound(kind) else create_planner(kind, checkpoint=checkpoint)
+    if planner is None or isinstance(planner, Clairvoyant):
+        raise OptionError(
+            f"{kind!r} must be told the future: it is a bound for `dronemon evaluate`, not a "
+            "planner to fly"
+        )
+    return planner
+
+
+def px_per_m(mission: Mission) -> float:
+    """Size on the picture, seen from the patrol's height, of a metre on the ground."""
+    return mission.camera.model.focal_px / mission.flight.altitude_m
+
+
+def _follow_problem(url: str) -> str | None:
+    if problem := mavlink_url_problem(url):
+        return problem
+    if not url.startswith("udpin://"):
+        return f"{url!r} is not udpin://IP:PORT, such as udpin://127.0.0.1:14550"
+    return None
+
+
+def _simulator_problems(mission: Mission, *, has_simulator: bool) -> Iterator[Problem]:
+    """What only a simulator could give."""
+    if mission.vehicle.is_mock or has_simulator:
+        return
+    if mission.camera.is_simulated:
+        yield (
+            ("camera", "url"),
+            "is `simulated`, but a vehicle at a URL has no simulator beside it; name its "
+            "camera, or let simulated animals follow it with --follow URL",
+        )
+    for index, target in enumerate(mission.targets):
+        if target.prior_au == "simulated":
+            yield (
+                ("targets", index, "prior_au"),
+                "is `simulated`, but there is no simulator; give [x, y] or leave it out",
+            )
+
+
+def _sight_problems(mission: Mission) -> Iterator[Problem]:
+    """Whether the detector can tell animals from the patrol's height."""
+    if px_per_m(mission) < NEEDED_PX_PER_M:
+        highest_m = mission.camera.model.focal_px / NEEDED_PX_PER_M
+        yield (
+            ("flight", "altitude_m"),
+            f"{mission.flight.altitude_m:g} m is too high: a metre on the ground is "
+            f"{px_per_m(mission):.1f} pixels of this camera, and the detector needs "
+            f"{NEEDED_PX_PER_M:g} to know an animal; fly at {highest_m:.0f} m or lower (the "
+            f"footprint of {mission.sensor_radius_m:g} m takes {mission.needed_altitude_m:.1f} "
+            "m), or use a camera with more pixels",
+        )
+
+
+def _planner_problems(mission: Mission) -> Iterator[Problem]:
+    """Whether the planner can be made; ours without weights always can, and are slow to import."""
+    kind, checkpoint = mission.planner.kind, mission.planner.checkpoint
+    is_ours = kind in planner_names() and not (has_weights(kind) or is_bound(kind))
+    if is_ours and checkpoint is None:
+        return
+    try:
+        make_planner(kind, checkpoint)
+    except OptionError as exc:
+        yield ("planner", "kind"), str(exc)
+    except PolicyError as exc:
+        yield ("planner", "checkpoint"), str(exc)
