@@ -10,9 +10,11 @@ import random
 from collections import deque
 from collections.abc import Callable
 
+from pymavlink.dialects.v20 import common as mavlink
+
 from dronemon.frames import GeoPoint
 from dronemon.types import Vector3
-from sim.commander import Commander, CommanderInputs, Severity
+from sim.commander import Commander, CommanderInputs
 from sim.control import PositionController, TrajectorySetpoint
 from sim.dynamics import GRAVITY_M_S2, Quadrotor, Wind
 from sim.estimator import Estimator
@@ -153,7 +155,7 @@ class Autopilot:
         self.time_s = self._num_steps * STEP_S
         if self.is_ready and not self.has_home:
             self.set_home(self.estimate.position)
-            self.say(Severity.INFO, "Ready for takeoff!")
+            self.say(mavlink.MAV_SEVERITY_INFO, "Ready for takeoff!")
         self._update_commander()
         self._finish_takeoff()
         self._fly()
@@ -223,7 +225,7 @@ class Autopilot:
         self.is_landed = False
         self._flying_since_s = self._down_since_s = self.time_s
         self.navigator.enter(mode)
-        self.say(Severity.INFO, "Takeoff detected")
+        self.say(mavlink.MAV_SEVERITY_INFO, "Takeoff detected")
         return True
 
     def _wants_climb(self) -> bool:

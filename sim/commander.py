@@ -10,21 +10,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
+from pymavlink.dialects.v20 import common as mavlink
+
 from sim.modes import Px4Mode
 from sim.parameters import Parameters
 
 GPS_LOSS_TOLERATED_S = 5.8
 """How long position is trusted without GPS, as measured."""
+_INFO: int = mavlink.MAV_SEVERITY_INFO
+_WARNING: int = mavlink.MAV_SEVERITY_WARNING
+_CRITICAL: int = mavlink.MAV_SEVERITY_CRITICAL
 Say = Callable[[int, str], None]
 """Takes a severity and a text for the operator."""
-
-
-class Severity(IntEnum):
-    """MAVLink's severities."""
-
-    CRITICAL = 2
-    WARNING = 4
-    INFO = 6
 
 
 class Charge(IntEnum):
@@ -84,7 +81,7 @@ class Commander:
         """Take the new inputs: failsafes and automatic disarming."""
         if inputs.is_landed and not self._inputs.is_landed:
             self._landed_since_s = inputs.time_s
-            self._say(Severity.INFO, "Landing detected")
+            self._say(_INFO, "Landing detected")
         self._inputs = inputs
         self._watch_battery()
         if self.is_armed:
@@ -93,13 +90,16 @@ class Commander:
         mode = (self._failsafe() if self.is_armed else None) or self.intent
         if mode is not self.mode:
             if mode is not self.intent:
-                self._say(Severity.CRITICAL, f"Failsafe activated: {mode.name}")
+                self._say(_CRITICAL, f"Failsafe activated: {mode.name}")
             self.mode = mode
 
     def request_mode(self, mode: Px4Mode) -> bool:
         """Ask for a mode. -> whether it may fly; on the ground and disarmed every mode may."""
         if self.is_armed and not self._can_run(mode):
-            self._say(Severity.CRITICAL, f"Switching to mode {mode.name} is currently not possible")
+            self._say(
+                _CRITICAL,
+                f"Switching to mode {mode.name} is currently not possible",
+            )
             return False
         self.intent = mode
         self._battery_action_since_s = None
@@ -121,23 +121,26 @@ class Commander:
             return True
         inputs = self._inputs
         if not inputs.is_ready or self.charge >= Charge.CRITICAL:
-            self._say(Severity.CRITICAL, "Arming denied: Resolve system health failures first")
+            self._say(_CRITICAL, "Arming denied: Resolve system health failures first")
             return False
         if self.intent.prevents_arming or not self._can_run(self.intent):
-            self._say(Severity.CRITICAL, f"Arming denied: mode {self.intent.name} not possible")
+            self._say(
+                _CRITICAL,
+                f"Arming denied: mode {self.intent.name} not possible",
+            )
             return False
         self.armed_since_s = inputs.time_s
         self._has_flown = False
-        self._say(Severity.INFO, "Armed by external command")
+        self._say(_INFO, "Armed by external command")
         return True
 
     def disarm(self, *, is_forced: bool, reason: str = "external command") -> bool:
         """Disarm; in the air only by force. -> whether it is disarmed now."""
         if self.is_armed and not self._inputs.is_landed and not is_forced:
-            self._say(Severity.CRITICAL, "Disarming denied: not landed")
+            self._say(_CRITICAL, "Disarming denied: not landed")
             return False
         if self.is_armed:
-            self._say(Severity.INFO, f"Disarmed by {reason}")
+            self._say(_INFO, f"Disarmed by {reason}")
         self.armed_since_s = None
         self._battery_action_since_s = None
         return True
@@ -167,7 +170,7 @@ class Commander:
         limits = (p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
         charge = Charge(sum(level < limit for limit in limits))
         if charge > self.charge:
-            self._say(Severity.WARNING, f"Battery level {charge.name.lower()}")
+            self._say(_WARNING, f"Battery level {charge.name.lower()}")
             acts = p["COM_LOW_BAT_ACT"] >= 2 and self.intent is not Px4Mode.LAND
             if charge >= Charge.CRITICAL and self.is_armed and acts:
                 self._battery_action_since_s = self._inputs.time_s

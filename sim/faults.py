@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 LASTING = ("silence", "deaf", "gps", "reject", "camera")
 SUDDEN = ("pilot", "battery", "reboot")
@@ -67,14 +68,12 @@ class FaultSchedule:
         self._due: list[tuple[float, Callable[[], None]]] = []
         for fault in faults:
             if fault.kind in SUDDEN:
-                event, value = events[fault.kind], fault.value
-                self._due.append((fault.at_s, lambda e=event, v=value: e(v)))  # type: ignore[misc]
+                self._due.append((fault.at_s, partial(events[fault.kind], fault.value)))
                 continue
             switch = switches[fault.kind]
-            self._due.append((fault.at_s, lambda s=switch: s(True)))  # type: ignore[misc]
+            self._due.append((fault.at_s, partial(switch, True)))
             if fault.duration_s is not None:
-                end_s = fault.at_s + fault.duration_s
-                self._due.append((end_s, lambda s=switch: s(False)))  # type: ignore[misc]
+                self._due.append((fault.at_s + fault.duration_s, partial(switch, False)))
         self._due.sort(key=lambda due: due[0])
 
     def advance(self, since_arming_s: float) -> None:

@@ -7,6 +7,7 @@ import logging
 import math
 import random
 import time
+from functools import partial
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from dronemon.world.instance import named_stream
 from sim.autopilot import STEP_S, Autopilot
 from sim.camera import CameraServer
 from sim.dynamics import Wind
-from sim.faults import Fault, FaultSchedule
-from sim.link import LinkFaults, MavlinkLink, open_link
+from sim.faults import LASTING, Fault, FaultSchedule
+from sim.link import MavlinkLink, open_link
 from sim.scene import Scene
 from sim.world import World, home_place
 
@@ -53,12 +54,24 @@ class MockFlight:
         )
         self._world = world
         self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
-        self._link_faults = LinkFaults()
         self._links: list[MavlinkLink] = []
         self._time_s = 0.0
         self._armed_at_s: float | None = None
         self.camera: CameraServer | None = None
-        self._faults = self._schedule(faults)
+        self._active_faults: set[str] = set()
+        autopilot = self.autopilot
+        self._faults = FaultSchedule(
+            faults,
+            switches={kind: partial(self._switch, kind) for kind in LASTING},
+            events={
+                "pilot": lambda _: autopilot.commander.take_over(),
+                "battery": lambda level: setattr(autopilot, "battery_level", level or 0.0),
+                "reboot": lambda _: autopilot.reboot(),
+            },
+        )
+
+    def _switch(self, fault: str, is_on: bool) -> None:
+        (self._active_faults.add if is_on else self._active_faults.discard)(fault)
 
     def scene(self) -> Scene:
         """What there is to see at this instant."""
@@ -68,7 +81,7 @@ class MockFlight:
     async def open_links(self, remotes: list[tuple[str, int]]) -> None:
         """Stream to these addresses from now on."""
         for remote in remotes:
-            self._links.append(await open_link(self.autopilot, remote, self._link_faults))
+            self._links.append(await open_link(self.autopilot, remote, self._active_faults))
 
     def close_links(self) -> None:
         """Close all sockets."""
@@ -83,7 +96,10 @@ class MockFlight:
         if self._armed_at_s is None and autopilot.commander.is_armed:
             self._armed_at_s = self._time_s
         if self._armed_at_s is not None:
-            self._faults.advance(self._since_arming_s)
+            self._faults.advance(self._time_s - self._armed_at_s)
+        autopilot.has_gps = "gps" not in self._active_faults
+        if self.camera is not None:
+            self.camera.silent = "camera" in self._active_faults
         texts = list(autopilot.texts)
         autopilot.texts.clear()
         for link in self._links:
@@ -123,34 +139,3 @@ class MockFlight:
                 self.step()
             self.flush()
             await asyncio.sleep(_PAUSE_S)
-
-    @property
-    def _since_arming_s(self) -> float:
-        """Time since the vehicle was first armed; 0 before."""
-        return 0.0 if self._armed_at_s is None else self._time_s - self._armed_at_s
-
-    def _schedule(self, faults: tuple[Fault, ...]) -> FaultSchedule:
-        autopilot, link = self.autopilot, self._link_faults
-
-        def silence_camera(is_on: bool) -> None:
-            if self.camera is not None:
-                self.camera.silent = is_on
-
-        def set_battery(level: float | None) -> None:
-            autopilot.battery_level = level or 0.0
-
-        return FaultSchedule(
-            faults,
-            switches={
-                "silence": lambda is_on: setattr(link, "is_silent", is_on),
-                "deaf": lambda is_on: setattr(link, "is_deaf", is_on),
-                "reject": lambda is_on: setattr(link, "is_refusing", is_on),
-                "gps": lambda is_on: setattr(autopilot, "has_gps", not is_on),
-                "camera": silence_camera,
-            },
-            events={
-                "pilot": lambda _: autopilot.commander.take_over(),
-                "battery": set_battery,
-                "reboot": lambda _: autopilot.reboot(),
-            },
-        )

@@ -21,6 +21,9 @@ from sim.world import World
 
 _SYSTEM_ID = 254
 _HEARTBEAT_INTERVAL_S = 1.0
+_HEARTBEAT = mavlink.MAVLink_heartbeat_message(
+    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+)
 _WANTED_HZ = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
@@ -41,7 +44,7 @@ class Follower(asyncio.DatagramProtocol):
     def __init__(self, world: World, address: tuple[str, int]) -> None:
         self._world = world
         self._address = address
-        self._mav = mavlink.MAVLink(None, srcSystem=_SYSTEM_ID, srcComponent=190)
+        self._mav = mavlink.MAVLink(None, _SYSTEM_ID, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._mav.robust_parsing = True
         self._vehicle: tuple[int, int] | None = None
         self._vehicle_address: tuple[str, int] | None = None
@@ -83,7 +86,7 @@ class Follower(asyncio.DatagramProtocol):
         camera.silent = not self.is_ready
         while True:
             if self._vehicle_address is not None:
-                self._send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+                self._send(_HEARTBEAT)
             if not self.is_ready:
                 self.ask()
             await asyncio.sleep(_HEARTBEAT_INTERVAL_S)

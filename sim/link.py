@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
+from collections.abc import Set
 from typing import Any, cast
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -30,18 +31,8 @@ from sim.parameters import TABLE
 from sim.streams import STREAMS, Builder
 
 _DATAGRAM_BYTES = 1200
+_CHUNK_BYTES = 50
 _GCS_TIMEOUT_S = 3.0
-_FTP_NAK = 129
-_FTP_UNKNOWN_COMMAND = 7
-
-
-class LinkFaults:
-    """What goes wrong on all links: nothing sent, nothing heard, every command refused."""
-
-    def __init__(self) -> None:
-        self.is_silent = False
-        self.is_deaf = False
-        self.is_refusing = False
 
 
 class _Stream:
@@ -60,23 +51,18 @@ class _Stream:
 
 
 class MavlinkLink(asyncio.DatagramProtocol):
-    """One UDP link to `remote`; made by `open_link`."""
+    """One UDP link to `remote`; made by `open_link`. faults: kinds that are active now."""
 
-    def __init__(self, autopilot: Autopilot, remote: tuple[str, int], faults: LinkFaults) -> None:
+    def __init__(self, autopilot: Autopilot, remote: tuple[str, int], faults: Set[str]) -> None:
         self._autopilot = autopilot
         self._remote = remote
         self._faults = faults
         self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._mav.robust_parsing = True
-        self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
-        self._active = self._in_use()
-        self._missions = MissionProtocol(autopilot.missions)
-        self._boots = autopilot.num_boots
-        self._pending: deque[Any] = deque()
-        self._parameters_left = iter(range(0))
         self._gcs_heard_s = -_GCS_TIMEOUT_S
         self._buffer = bytearray()
         self._transport: asyncio.DatagramTransport | None = None
+        self._restart()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Keep the socket (asyncio's callback)."""
@@ -87,7 +73,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """Handle what was sent to the vehicle (asyncio's callback)."""
-        if self._faults.is_deaf or self._autopilot.time_s < BOOT_S:
+        if "deaf" in self._faults or self._autopilot.time_s < BOOT_S:
             return
         for message in self._mav.parse_buffer(data) or ():
             self._receive(message)
@@ -116,22 +102,23 @@ class MavlinkLink(asyncio.DatagramProtocol):
             self._send(self._parameter(index))
         if texts and time.monotonic() - self._gcs_heard_s < _GCS_TIMEOUT_S:
             for severity, text in texts:
-                self._send(mavlink.MAVLink_statustext_message(severity, text.encode()[:50]))
+                self._send_text(severity, text.encode())
 
     def flush(self) -> None:
         """Hand what was sent to the network."""
-        if self._buffer and self._transport is not None and not self._faults.is_silent:
+        if self._buffer and self._transport is not None and "silence" not in self._faults:
             self._transport.sendto(bytes(self._buffer), self._remote)
         self._buffer.clear()
 
     def _restart(self) -> None:
-        """Forget rates and transfers, as a reboot does."""
+        """Begin with the default rates and nothing under way, as after a reboot."""
         self._boots = self._autopilot.num_boots
         self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
         self._active = self._in_use()
         self._missions = MissionProtocol(self._autopilot.missions)
-        self._pending.clear()
+        self._pending: deque[Any] = deque()
         self._parameters_left = iter(range(0))
+        self._text_id = 0
 
     def _in_use(self) -> list[_Stream]:
         return [stream for stream in self._streams.values() if stream.interval_s > 0.0]
@@ -144,6 +131,13 @@ class MavlinkLink(asyncio.DatagramProtocol):
         if len(self._buffer) + len(packet) > _DATAGRAM_BYTES:
             self.flush()
         self._buffer += packet
+
+    def _send_text(self, severity: int, text: bytes) -> None:
+        """Send a text in chunks of one id; none follows one that is just full, as PX4 has it."""
+        for sequence, start in enumerate(range(0, len(text), _CHUNK_BYTES)):
+            chunk = text[start : start + _CHUNK_BYTES]
+            self._send(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, sequence))
+        self._text_id = (self._text_id + 1) % 2**16
 
     def _receive(self, message: Any) -> None:
         if getattr(message, "target_system", 0) not in (0, 1):
@@ -176,8 +170,16 @@ class MavlinkLink(asyncio.DatagramProtocol):
         elif kind == "FILE_TRANSFER_PROTOCOL":
             asked = bytes(message.payload)
             sequence = (int.from_bytes(asked[:2], "little") + 1) % 65536
-            head = [*sequence.to_bytes(2, "little"), asked[2], _FTP_NAK, 1, asked[3], 0, 0]
-            payload = [*head, *asked[8:12], _FTP_UNKNOWN_COMMAND, *([0] * 238)]
+            head = [
+                *sequence.to_bytes(2, "little"),
+                asked[2],
+                mavlink.MAV_FTP_OPCODE_NAK,
+                1,
+                asked[3],
+                0,
+                0,
+            ]
+            payload = [*head, *asked[8:12], mavlink.MAV_FTP_ERR_UNKNOWNCOMMAND, *([0] * 238)]
             self._send(mavlink.MAVLink_file_transfer_protocol_message(0, *sender, payload))
 
     def _take_setpoint(self, message: Any) -> None:
@@ -191,7 +193,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
     def _obey(self, message: Any) -> None:
         """Execute a command and acknowledge it; a mode change is acknowledged twice, as by PX4."""
         command = Command.from_message(message)
-        if self._faults.is_refusing:
+        if "reject" in self._faults:
             result = REJECTED
         else:
             result = self._serve_messages(command)
@@ -267,9 +269,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
         return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(TABLE), index)
 
 
-async def open_link(
-    autopilot: Autopilot, remote: tuple[str, int], faults: LinkFaults
-) -> MavlinkLink:
+async def open_link(autopilot: Autopilot, remote: tuple[str, int], faults: Set[str]) -> MavlinkLink:
     """A link that streams to `remote` from a free port."""
     _, link = await asyncio.get_running_loop().create_datagram_endpoint(
         lambda: MavlinkLink(autopilot, remote, faults), local_addr=("127.0.0.1", 0)

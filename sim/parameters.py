@@ -10,8 +10,10 @@ import math
 import struct
 from dataclasses import dataclass
 
-_INT32 = 6
-_REAL32 = 9
+from pymavlink.dialects.v20 import common as mavlink
+
+_INT32: int = mavlink.MAV_PARAM_TYPE_INT32
+_REAL32: int = mavlink.MAV_PARAM_TYPE_REAL32
 
 
 @dataclass(frozen=True, slots=True)

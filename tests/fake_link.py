@@ -25,7 +25,7 @@ from dronemon.errors import (
 )
 from dronemon.frames import GeoPoint
 from dronemon.types import Picture, Pose, Vector3
-from dronemon.vehicle import Landed, Mode, Setpoint, VehicleState
+from dronemon.vehicle import Landed, Mode, Setpoint, StatusText, VehicleState
 from sim.faults import FaultSchedule, parse_fault
 
 STEP_S = 0.02
@@ -152,7 +152,7 @@ class FakeLink:
         self._given_s = -math.inf
         self._expected: frozenset[Mode] | None = None
         self._has_rebooted = False
-        self._said: list[str] = []
+        self._said: list[StatusText] = []
         self._changed = asyncio.Event()
         self._timer: asyncio.TimerHandle | None = None
         self._faults = self._schedule(faults)
@@ -248,9 +248,9 @@ class FakeLink:
 
     def say(self, text: str) -> None:
         """Have the autopilot say something."""
-        self._said.append(text)
+        self._said.append(StatusText(severity=6, text=text))
 
-    def texts(self) -> list[str]:
+    def texts(self) -> list[StatusText]:
         said, self._said = self._said, []
         return said
 

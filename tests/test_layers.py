@@ -41,7 +41,7 @@ PLACES = {
     "mavsdk": {"vehicle"},
     "rerun": {"viz"},
     "cv2": {"vision", "camera"},
-    "pymavlink": set(),
+    "pymavlink": {"vehicle"},
     "matplotlib": {"evaluation"},
 }
 

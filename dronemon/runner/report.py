@@ -43,6 +43,6 @@ class Reporter:
 
     def progress(self, status: FlightStatus) -> None:
         """Report progress, and what the autopilot said since the last time."""
-        for text in self._link.texts():
-            self.note("autopilot", text)
+        for said in self._link.texts():
+            self.note("autopilot", said.text)
         self._audience.status(status)

@@ -60,6 +60,15 @@ class Setpoint:
     yaw_rad: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusText:
+    """What the autopilot said in words. A part that was lost on the way is marked "…"."""
+
+    severity: int
+    """MAVLink's: from 0, emergency, to 7, debug; 4 is a warning."""
+    text: str
+
+
 class VehicleLink(Protocol):
     """A vehicle under our command; an async context manager that is connected while it is open.
 
@@ -130,7 +139,7 @@ class VehicleLink(Protocol):
         """Begin to land here, by the autopilot alone."""
         ...
 
-    def texts(self) -> list[str]:
+    def texts(self) -> list[StatusText]:
         """What the autopilot said in words since the last call."""
         ...
 

@@ -1,0 +1,38 @@
+"""Whether the vehicle flies in a mode that we asked for: a pilot's or a failsafe's choice wins."""
+
+from __future__ import annotations
+
+from dronemon.errors import ControlTaken
+from dronemon.vehicle.link import Mode, VehicleState
+
+_FOLLOWED_BY = {Mode.RETURN: Mode.LAND}
+
+
+class ModeWatch:
+    """The modes that are ours; at first every one is."""
+
+    def __init__(self) -> None:
+        self._expected: frozenset[Mode] | None = None  # None: any
+
+    def expect(self, *modes: Mode) -> None:
+        """From now on these are ours, and what follows them by itself."""
+        self._expected = frozenset(modes) | {_FOLLOWED_BY.get(mode, mode) for mode in modes}
+
+    def expect_also(self, mode: Mode) -> None:
+        """While a command is under way the mode is either still the old one or what we asked."""
+        if self._expected is not None:
+            self._expected |= {mode}
+
+    def release(self) -> None:
+        """From now on any mode is welcome: whoever chose it is in control."""
+        self._expected = None
+
+    def check(self, state: VehicleState) -> None:
+        """Raise ControlTaken if the mode is none of ours."""
+        if self._expected is not None and state.mode not in self._expected:
+            who = "a failsafe of the autopilot" if state.is_failsafe else "the pilot"
+            raise ControlTaken(
+                f"{who} chose mode '{state.mode}' where "
+                f"'{' or '.join(sorted(self._expected))}' was ours",
+                by_failsafe=state.is_failsafe,
+            )
