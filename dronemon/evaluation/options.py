@@ -15,7 +15,7 @@ from pathlib import Path
 from dronemon import __version__
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
-from dronemon.planner import Planner, create_planner, has_weights
+from dronemon.planner import Planner, create_planner, has_weights, planner_names
 from dronemon.policy import find_checkpoint
 from dronemon.problem import Prior
 
@@ -48,9 +48,11 @@ class PlannerSpec:
 
     @classmethod
     def parse(cls, text: str) -> PlannerSpec:
-        """Read `kind`, or `kind:checkpoint`."""
+        """Read `kind`, `kind:checkpoint`, or `package.module:Class`."""
         kind, colon, checkpoint = text.strip().partition(":")
-        return cls(kind=kind, checkpoint=checkpoint if colon else None)
+        if colon and kind in planner_names():
+            return cls(kind=kind, checkpoint=checkpoint)
+        return cls(kind=text.strip())
 
     @property
     def text(self) -> str:
