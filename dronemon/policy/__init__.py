@@ -22,6 +22,7 @@ from dronemon.policy.features import (
 from dronemon.policy.history import History
 from dronemon.policy.layers import NetworkConfig, Projections
 from dronemon.policy.network import PolicyNetwork
+from dronemon.policy.scope import Scope
 from dronemon.policy.tracks import NUM_TRACK_FEATURES, Tracks
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "NetworkConfig",
     "PolicyNetwork",
     "Projections",
+    "Scope",
     "Segment",
     "TemporalEncoder",
     "Tracks",

@@ -22,6 +22,7 @@ from torch import Tensor
 from dronemon.errors import CheckpointMismatch, PolicyError
 from dronemon.policy.layers import NetworkConfig
 from dronemon.policy.network import PolicyNetwork
+from dronemon.policy.scope import Scope
 
 FORMAT = "dronemon policy 2"
 DEFAULT_HISTORY = 100
@@ -38,6 +39,7 @@ class Card:
     settings: of the recipe
     curve:    rows of training, one mapping each
     scores:   on development seeds, of the weights kept
+    scope:    what they were trained for; None where a file of before does not say
     """
 
     recipe: str
@@ -48,6 +50,14 @@ class Card:
     settings: Mapping[str, object] = field(default_factory=dict)
     curve: tuple[Mapping[str, float], ...] = ()
     scores: Mapping[str, float] = field(default_factory=dict)
+    scope: Scope | None = None
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Card:
+        """The card as a checkpoint holds it. Raises TypeError for other content."""
+        scope = content.get("scope")
+        rest = {"curve": tuple(content["curve"]), "scope": scope and Scope(**scope)}
+        return cls(**{**content, **rest})
 
     def markdown(self, name: str, config: NetworkConfig) -> str:
         """The card as a page to lie beside the file."""
@@ -63,6 +73,7 @@ class Card:
             f"- Recipe: {self.recipe}; {settings}",
             f"- Command: `{self.command}`",
             f"- Commit: {self.commit}, {self.date}",
+            f"- Trained for: {self.scope}",
             f"- Seeds: {self.seeds}",
             f"- Scores: {scores}",
             "",
@@ -108,7 +119,7 @@ def load_checkpoint(path: Path, expected: NetworkConfig | None = None) -> Checkp
         )
     try:
         config = NetworkConfig(**content["config"])
-        card = Card(**{**content["card"], "curve": tuple(content["card"]["curve"])})
+        card = Card.of(content["card"])
         weights, expected_digest = content["weights"], content["digest"]
     except (KeyError, TypeError, PolicyError) as exc:
         raise CheckpointMismatch(f"{path}: incomplete or from another version: {exc}") from exc

@@ -29,6 +29,7 @@ from dronemon.planner.search import SearchSettings
 from dronemon.policy import (
     Card,
     PolicyNetwork,
+    Scope,
     load_checkpoint,
     read_tensors,
     save_checkpoint,
@@ -102,6 +103,13 @@ class ExpertConfig:
     history: tuple[int, int] = (50, 100)
     num_targets: tuple[int, int] = (2, 8)
     finish: PpoConfig = FINISH
+
+    @property
+    def scope(self) -> Scope:
+        """What a network that learned so was trained for."""
+        return Scope(
+            num_targets=self.num_targets, num_nodes=self.num_nodes, speed_ratio=self.speed_ratio
+        )
 
     @property
     def value_weight(self) -> float:

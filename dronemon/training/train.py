@@ -296,6 +296,7 @@ def _keep(
         settings=json.loads(json.dumps(recipe.settings)),
         curve=tuple(run.curve or ()),
         scores={name: value for name, value in row.items() if name.startswith("val_")},
+        scope=(plan.paper if plan.recipe == "paper" else plan.expert).scope,
     )
     save_checkpoint(plan.out / "best.pt", network, card)
     (plan.out / "best.md").write_text(card.markdown("best", network.config), encoding="utf-8")

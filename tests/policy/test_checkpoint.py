@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from dronemon.policy import (
     Card,
     NetworkConfig,
     PolicyNetwork,
+    Scope,
     find_checkpoint,
     load_checkpoint,
     save_checkpoint,
@@ -28,6 +30,7 @@ CARD = Card(
     settings={"episodes": 3},
     curve=({"minutes": 1.0, "unc": 0.8}, {"minutes": 2.0, "unc": 0.75}),
     scores={"unc": 0.75},
+    scope=Scope(num_targets=(2, 8), num_nodes=(150, 200), speed_ratio=(0.025, 0.15)),
 )
 
 
@@ -53,6 +56,25 @@ def test_the_card_is_a_page() -> None:
     page = CARD.markdown("small", SMALL)
     assert "`dronemon train --recipe expert`" in page
     assert "| 2 | 0.75 |" in page
+
+
+@pytest.mark.parametrize(
+    ("mission", "sentence"),
+    [
+        ({}, None),
+        ({"speed_ratio": None}, None),
+        ({"num_targets": 9}, "9 targets: the network was trained for 2 to 8"),
+        ({"num_nodes": 149}, "149 nodes of the roadmap: the network was trained for 150 to 200"),
+        ({"speed_ratio": 0.2}, "0.2 times the drone's speed for the targets: the network was"),
+        ({"prior": "number"}, "prior number: the network was trained with prior full"),
+    ],
+)
+def test_what_lies_outside_training_is_said(mission: dict[str, Any], sentence: str | None) -> None:
+    usual = {"num_targets": 2, "num_nodes": 200, "speed_ratio": 0.025, "prior": "full"}
+    assert CARD.scope is not None
+    said = CARD.scope.outside(**{**usual, **mission})
+    assert len(said) == (sentence is not None)
+    assert not said or said[0].startswith(str(sentence))
 
 
 def test_another_network_is_refused(saved: Path) -> None:
