@@ -15,6 +15,7 @@
       PolicyError             weights or features of the learned policy        exit 2
         CheckpointMismatch    the file is not the network that was asked for
       RecordError             the run folder cannot be made, written or read   exit 6
+      WorkerError             a process that shares the work died              exit 6
       ViewError               the recording or live view cannot be started     exit 7
 
 A message states the fact, the value, the limit and the next step. Foreign exceptions become one of
@@ -102,6 +103,12 @@ class CheckpointMismatch(PolicyError):
 
 class RecordError(DronemonError):
     """The run folder cannot be made, written or read."""
+
+    exit_code = 6
+
+
+class WorkerError(DronemonError):
+    """A process that shares the work died."""
 
     exit_code = 6
 

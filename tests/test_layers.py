@@ -14,6 +14,7 @@ LAYERS = {
     "frames": 0,
     "clock": 0,
     "mission": 0,
+    "workers": 0,
     "belief": 1,
     "roadmap": 1,
     "policy": 1,
@@ -35,7 +36,16 @@ LAYERS = {
     "simulator": 5,
     "terminal": 5,
 }
-ORDER_IN_LAYER_0 = ("errors", "version", "problem", "types", "frames", "clock", "mission")
+ORDER_IN_LAYER_0 = (
+    "errors",
+    "version",
+    "problem",
+    "types",
+    "frames",
+    "clock",
+    "mission",
+    "workers",
+)
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
 PLACES = {
     "mavsdk": {"vehicle"},

@@ -20,9 +20,9 @@ from dronemon.evaluation.options import (
     TABLE1_TARGETS,
     Options,
     PlannerSpec,
-    available_workers,
 )
 from dronemon.problem import Prior
+from dronemon.workers import num_cores
 
 T = TypeVar("T")
 DEFAULT_INSTANCES = 16
@@ -95,7 +95,7 @@ def evaluate_command(
         horizon_au=horizon,
         num_nodes=nodes,
         save_episodes=save_episodes,
-        workers=workers if workers is not None else available_workers(),
+        workers=workers if workers is not None else num_cores(),
     )
     console = Console()
     try:

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-import threading
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from fractions import Fraction
 from functools import cache, partial
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 
 import numpy as np
-import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dronemon.errors import RecordError
 from dronemon.evaluation.episode import Episode, fly_episode
-from dronemon.evaluation.options import Key, Options, PlannerSpec, Task
+from dronemon.evaluation.options import EpisodeSpec, Key, Options, PlannerSpec
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, ResultsFile
 from dronemon.planner import Planner
 from dronemon.version import code_version
+from dronemon.workers import share_out
 from dronemon.world import Instance
 
 PUBLISHED_CONDITIONS = (30.0, 200)
@@ -40,7 +34,7 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
     `save_episodes` one file of arrays per episode. A run that was killed, or is given more
     instances, goes on where it was; episodes that other code flew are kept, with a warning.
 
-    Raises OptionError, RecordError, and what planners raise.
+    Raises OptionError, RecordError, WorkerError, and what planners raise.
     """
     console = console if console is not None else Console(stderr=True)
     try:
@@ -49,17 +43,17 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
         raise RecordError(f"{options.out}: cannot be made: {exc.strerror}") from exc
     file = ResultsFile(options.out / "results.jsonl")
     results = file.load()
-    tasks = list(options.tasks())
-    missing = [task for task in tasks if not _is_done(task, results, options)]
+    specs = list(options.episodes())
+    missing = [spec for spec in specs if not _is_done(spec, results, options)]
     again = set(missing)
-    _warn_of_other_code([results[task.key] for task in tasks if task not in again], file, console)
+    _warn_of_other_code([results[spec.key] for spec in specs if spec not in again], file, console)
     with _progress(console) as progress, closing(_fly_all(missing, options)) as flown:
-        bar = progress.add_task("episodes", total=len(tasks), completed=len(tasks) - len(missing))
+        bar = progress.add_task("episodes", total=len(specs), completed=len(specs) - len(missing))
         for result in flown:
             file.append(result)
             results[result.key] = result
             progress.advance(bar)
-    finished = [results[task.key] for task in tasks]
+    finished = [results[spec.key] for spec in specs]
     is_as_published = (options.horizon_au, options.num_nodes) == PUBLISHED_CONDITIONS
     for verdict in write_tables(
         finished, options.out, options.command, is_as_published=is_as_published
@@ -69,10 +63,10 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
     return finished
 
 
-def fly_task(task: Task) -> Episode:
+def fly_spec(spec: EpisodeSpec) -> Episode:
     """Fly one episode with the planner that this process keeps for it."""
-    instance = Instance.draw(task.seed, task.cell.num_targets)
-    return fly_episode(_planner(task.planner, task.settings), instance, task.conditions)
+    instance = Instance.draw(spec.seed, spec.cell.num_targets)
+    return fly_episode(_planner(spec.planner, spec.settings), instance, spec.conditions)
 
 
 def _draw(results: Sequence[Result], options: Options) -> None:
@@ -88,10 +82,10 @@ def _draw(results: Sequence[Result], options: Options) -> None:
         options.cells,
         key=lambda cell: (abs(cell.num_targets - 4), abs(cell.speed_ratio - Fraction(1, 20))),
     )
-    tasks = [options.task(planner, cell, options.first_seed) for planner in options.planners]
-    with _one_thread():
-        episodes = {task.planner.method: fly_task(task) for task in tasks}
-        uncertainties = {method: episode.metrics().unc for method, episode in episodes.items()}
+    specs = [options.episode(planner, cell, options.first_seed) for planner in options.planners]
+    methods = [spec.planner.method for spec in specs]
+    episodes = dict(zip(methods, share_out(fly_spec, specs, 1), strict=True))
+    uncertainties = {method: episode.metrics().unc for method, episode in episodes.items()}
     title = f"N = {cell.num_targets}, $r_v$ = {cell.speed_ratio}, seed {options.first_seed}"
     draw_traces(uncertainties, title, options.out / "traces.png")
     method, episode = next(iter(episodes.items()))
@@ -113,14 +107,14 @@ def _warn_of_other_code(kept: Sequence[Result], file: ResultsFile, console: Cons
         )
 
 
-def _is_done(task: Task, results: dict[Key, Result], options: Options) -> bool:
-    path = _episode_path(task, options)
-    return task.key in results and (path is None or path.is_file())
+def _is_done(spec: EpisodeSpec, results: dict[Key, Result], options: Options) -> bool:
+    path = _episode_path(spec, options)
+    return spec.key in results and (path is None or path.is_file())
 
 
-def _episode_path(task: Task, options: Options) -> Path | None:
+def _episode_path(spec: EpisodeSpec, options: Options) -> Path | None:
     """Where the episode's arrays go, if they are kept."""
-    return options.out / "episodes" / task.file_name if options.save_episodes else None
+    return options.out / "episodes" / spec.file_name if options.save_episodes else None
 
 
 @cache
@@ -129,39 +123,16 @@ def _planner(spec: PlannerSpec, settings: str) -> Planner:
     return spec.create()
 
 
-def _fly_all(tasks: Sequence[Task], options: Options) -> Generator[Result]:
+def _fly_all(specs: Sequence[EpisodeSpec], options: Options) -> Generator[Result]:
     """Fly episodes, in this process or in several, and give each result when it is there."""
-    run = partial(_run, code=code_version())
-    paths = [_episode_path(task, options) for task in tasks]
-    if options.workers == 1 or len(tasks) < 2:
-        with _one_thread():
-            yield from map(run, tasks, paths)
-        return
-    wanted, want = Pipe(duplex=False)
-    pool = ProcessPoolExecutor(
-        max_workers=min(options.workers, len(tasks)),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_prepare_worker,
-        initargs=(wanted,),
-    )
-    try:
-        futures = [pool.submit(run, *pair) for pair in zip(tasks, paths, strict=True)]
-        for future in as_completed(futures):
-            yield future.result()
-    except BrokenProcessPool as exc:
-        raise RecordError(
-            f"one of {options.workers} worker processes died, perhaps for want of memory; the same "
-            "command goes on where this run was, --workers sets how many there are"
-        ) from exc
-    finally:
-        want.close()
-        pool.shutdown(cancel_futures=True)
-        wanted.close()
+    jobs = [(spec, _episode_path(spec, options)) for spec in specs]
+    return share_out(partial(_run, code=code_version()), jobs, options.workers)
 
 
-def _run(task: Task, path: Path | None, *, code: str) -> Result:
+def _run(job: tuple[EpisodeSpec, Path | None], *, code: str) -> Result:
     """Fly and score one episode, and keep its arrays if a path is given."""
-    episode = fly_task(task)
+    spec, path = job
+    episode = fly_spec(spec)
     metrics = episode.metrics()
     if path is not None:
         path.parent.mkdir(exist_ok=True)
@@ -177,43 +148,16 @@ def _run(task: Task, path: Path | None, *, code: str) -> Result:
             )
         partial.replace(path)
     return Result(
-        method=task.planner.method,
-        cell=task.cell,
-        seed=task.seed,
-        settings=task.settings,
+        method=spec.planner.method,
+        cell=spec.cell,
+        seed=spec.seed,
+        settings=spec.settings,
         scores=metrics.scores,
         unc_over_time=tuple(metrics.unc[1:].mean(axis=1).round(5).tolist()),
         decisions=len(episode.decisions_s),
         decision_s=float(episode.decisions_s.mean()),
         code=code,
     )
-
-
-def _prepare_worker(wanted: Connection) -> None:
-    """One thread per process, and interrupts only for the parent, which ends the others.
-
-    wanted: pipe whose other end the parent alone holds: closed when the run ends, also by SIGKILL
-    """
-    torch.set_num_threads(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_when_unwanted, args=(wanted,), daemon=True).start()
-
-
-def _end_when_unwanted(wanted: Connection) -> None:
-    """End this process, in whatever it does, when the other end is closed."""
-    wanted.poll(None)
-    os._exit(0)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Use one thread, as workers do, so that figures do not depend on the number of workers."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _progress(console: Console) -> Progress:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -77,7 +76,7 @@ class PlannerSpec:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
+class EpisodeSpec:
     """One episode to fly.
 
     settings: digest of all else that its outcome depends on
@@ -113,8 +112,10 @@ class Task:
 class Options:
     """An evaluation: every planner in every cell, on the same instances.
 
-    horizon_au: length of an episode; num_nodes: size of the roadmap; save_episodes: keep the arrays
-    of each episode; workers: processes
+    horizon_au:    length of an episode
+    num_nodes:     size of the roadmap
+    save_episodes: keep the arrays of each episode
+    workers:       processes
 
     Raises OptionError where a value cannot be used.
     """
@@ -187,14 +188,14 @@ class Options:
             for planner in self.planners
         }
 
-    def tasks(self) -> Iterator[Task]:
+    def episodes(self) -> Iterator[EpisodeSpec]:
         """All episodes; seed by seed, so that an unfinished run covers all cells alike."""
         for seed in range(self.first_seed, self.first_seed + self.instances):
             for cell in self.cells:
                 for planner in self.planners:
-                    yield self.task(planner, cell, seed)
+                    yield self.episode(planner, cell, seed)
 
-    def task(self, planner: PlannerSpec, cell: Cell, seed: int) -> Task:
+    def episode(self, planner: PlannerSpec, cell: Cell, seed: int) -> EpisodeSpec:
         """One of the episodes."""
         conditions = Conditions(
             speed_ratio=float(cell.speed_ratio),
@@ -202,18 +203,13 @@ class Options:
             horizon_au=self.horizon_au,
             num_nodes=self.num_nodes,
         )
-        return Task(
+        return EpisodeSpec(
             planner=planner,
             cell=cell,
             seed=seed,
             conditions=conditions,
             settings=self._settings[planner],
         )
-
-
-def available_workers() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _listed(values: Iterable[object]) -> str:

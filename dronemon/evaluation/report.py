@@ -20,6 +20,7 @@ from dronemon.evaluation.tables import (
     Difference,
     Estimate,
     Row,
+    average_by_cell,
     count_agreeing,
     count_better,
     gap_closed,
@@ -27,7 +28,6 @@ from dronemon.evaluation.tables import (
     paired_differences,
     published_overall,
     published_rows,
-    summarise,
 )
 
 DIGITS = {"min_ob": 2}
@@ -45,7 +45,7 @@ def write_tables(
     is_as_published: the episodes are as long, on as many nodes, as the paper's, so that its figures
     stand beside them. -> what follows from that comparison, a line each.
     """
-    rows = summarise(results)
+    rows = average_by_cell(results)
     cells = {row.cell for row in rows}
     published = [row for row in published_rows() if row.cell in cells and is_as_published]
     differences = paired_differences(results)

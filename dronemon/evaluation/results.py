@@ -22,8 +22,11 @@ UNKNOWN_CODE = "unknown"
 class Result:
     """One finished episode.
 
-    method: the planner; unc_over_time: (S,) mean over targets at each measurement; decisions: how
-    often the planner was asked; decision_s: its mean answering time; code: version that flew it
+    method:        the planner
+    unc_over_time: (S,) mean over targets at each measurement
+    decisions:     how often the planner was asked
+    decision_s:    its mean answering time
+    code:          version that flew it
     """
 
     method: str

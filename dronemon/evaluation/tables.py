@@ -69,7 +69,7 @@ class Row:
     decision_s: float
 
 
-def summarise(results: Iterable[Result]) -> list[Row]:
+def average_by_cell(results: Iterable[Result]) -> list[Row]:
     """Average episodes over instances. -> one row per method and cell, in order of appearance."""
     groups: dict[tuple[Cell, str], list[Result]] = {}
     for result in results:

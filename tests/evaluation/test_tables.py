@@ -13,6 +13,7 @@ from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.tables import (
     TABLE1_CELLS,
     Estimate,
+    average_by_cell,
     count_agreeing,
     count_better,
     gap_closed,
@@ -20,7 +21,6 @@ from dronemon.evaluation.tables import (
     paired_differences,
     published_overall,
     published_rows,
-    summarise,
 )
 
 CELL = Cell(prior="full", num_targets=2, speed_ratio=Fraction(1, 30))
@@ -67,7 +67,7 @@ def test_mean_and_standard_error_of_known_values() -> None:
 
 
 def test_rows_are_means_per_method_and_cell() -> None:
-    rows = summarise(
+    rows = average_by_cell(
         [
             result("a", 0, 0.5),
             result("b", 0, 0.9),
@@ -139,21 +139,21 @@ def test_differences_pair_instances_and_weigh_cells_alike() -> None:
 
 def test_better_counts_only_what_beats_every_published_method() -> None:
     # Best published in this cell: Unc 0.634 (STAMP), MinOb 59.24 (TSP Loop), JSD 0.070 (TSP Loop).
-    won = summarise([result("a", 0, 0.633, min_ob=60, jsd=0.069)])
+    won = average_by_cell([result("a", 0, 0.633, min_ob=60, jsd=0.069)])
     assert count_better(won, "a") == (3, 3, 0)
-    tied = summarise([result("a", 0, 0.634, min_ob=59, jsd=0.070)])
+    tied = average_by_cell([result("a", 0, 0.634, min_ob=59, jsd=0.070)])
     assert count_better(tied, "a") == (0, 3, 0)
     close = [result("a", seed, 0.632 + 0.002 * seed, min_ob=60, jsd=0.01) for seed in (0, 1)]
-    assert count_better(summarise(close), "a") == (3, 3, 1)
+    assert count_better(average_by_cell(close), "a") == (3, 3, 1)
     elsewhere = Cell(prior="none", num_targets=2, speed_ratio=Fraction(1, 30))
-    assert count_better(summarise([result("a", 0, 0.1, cell=elsewhere)]), "a") == (0, 0, 0)
+    assert count_better(average_by_cell([result("a", 0, 0.1, cell=elsewhere)]), "a") == (0, 0, 0)
 
 
 def test_agreement_needs_unc_and_jsd_within_their_limits() -> None:
     # Published TSP Loop: 0.643 / 0.070.
-    assert count_agreeing(summarise([result("tsp", 0, 0.663, jsd=0.100)]), "tsp") == (1, 1)
-    assert count_agreeing(summarise([result("tsp", 0, 0.664, jsd=0.100)]), "tsp") == (0, 1)
-    assert count_agreeing(summarise([result("tsp", 0, 0.643, jsd=0.101)]), "tsp") == (0, 1)
+    assert count_agreeing(average_by_cell([result("tsp", 0, 0.663, jsd=0.100)]), "tsp") == (1, 1)
+    assert count_agreeing(average_by_cell([result("tsp", 0, 0.664, jsd=0.100)]), "tsp") == (0, 1)
+    assert count_agreeing(average_by_cell([result("tsp", 0, 0.643, jsd=0.101)]), "tsp") == (0, 1)
 
 
 def test_files_hold_ours_beside_the_papers(tmp_path: Path) -> None:
