@@ -63,7 +63,7 @@ class Document:
         except RecursionError as exc:
             raise MissionFileError(f"{path}: not valid YAML: nested too deeply") from exc
         if root is None or not isinstance(data, dict):
-            raise MissionFileError(f"{path}:1: a {kind} is a mapping of sections, such as `area:`")
+            raise MissionFileError(f"{path}:1: a {kind} is a mapping of sections, each `name:`")
         overrides = overrides or {}
         for (section, key), (_, value) in overrides.items():
             given = data.setdefault(section, {})

@@ -39,6 +39,9 @@ class NetworkConfig:
     tracks: bool = False
 
     def __post_init__(self) -> None:
+        for name in ("width", "num_heads", "feed_forward", "num_eigenvectors", "stride"):
+            if getattr(self, name) < 1:
+                raise PolicyError(f"{name} is {getattr(self, name)}; it must be at least 1")
         if self.width % self.num_heads:
             raise PolicyError(
                 f"width {self.width} is no multiple of {self.num_heads} heads; choose one that is"

@@ -6,8 +6,6 @@ import ctypes
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -16,122 +14,59 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from dronemon.policy import NetworkConfig
-from dronemon.training.imitation import ExpertConfig
-from dronemon.training.ppo import PpoConfig
+from dronemon.training.recipe import load_recipe
 from dronemon.training.train import METRICS, Plan, train
+from dronemon.workers import num_cores
 
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt
 _SHOWN = ("unc", "imitation_loss", "regret", "agreement", "kl", "val_unc", "decisions_per_s")
 
 
-class RecipeName(StrEnum):
-    """Ways to train."""
-
-    PAPER = "paper"
-    EXPERT = "expert"
-
-
-class TemporalName(StrEnum):
-    """Ways to read history."""
-
-    ATTENTION = "attention"
-    LSTM = "lstm"
+RecipeOption = Annotated[
+    str, typer.Option(help="A recipe file, or a shipped one: paper, expert, stamp.")
+]
+OutOption = Annotated[Path, typer.Option(help="Folder of the run; a run found there goes on.")]
+MinutesOption = Annotated[float, typer.Option(min=0.1, help="Time budget, over all resumptions.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Root of all randomness.")]
+StartOption = Annotated[
+    str | None, typer.Option(help="Checkpoint (path or name) whose weights to begin with.")
+]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes that give lessons.", show_default="one per core"),
+]
+ValidationMinutesOption = Annotated[
+    float, typer.Option(min=0.0, help="How often to fly the development seeds.")
+]
+ValidationEpisodesOption = Annotated[
+    int, typer.Option(min=1, help="How many of them, by the average of the weights.")
+]
 
 
 def train_command(
-    recipe: Annotated[
-        RecipeName,
-        typer.Option(help="paper: PPO from scratch. expert: imitate the search planner."),
-    ] = RecipeName.EXPERT,
-    out: Annotated[Path, typer.Option(help="Folder of the run; a run found there goes on.")] = Path(
-        "runs/train"
-    ),
-    minutes: Annotated[
-        float, typer.Option(min=0.1, help="Time budget, over all resumptions.")
-    ] = 60.0,
-    seed: Annotated[int, typer.Option(min=0, help="Root of all randomness.")] = 0,
-    start: Annotated[
-        str | None, typer.Option(help="Checkpoint (path or name) whose weights to begin with.")
-    ] = None,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    width: Annotated[int, typer.Option(help="d, width of the network.")] = 128,
-    feed_forward: Annotated[
-        int | None, typer.Option(help="Width of the feed-forward parts; 4 d if absent.")
-    ] = None,
-    temporal: Annotated[
-        TemporalName, typer.Option(help="How history is read; lstm is the ablation.")
-    ] = TemporalName.ATTENTION,
-    predictions: Annotated[
-        bool, typer.Option("--predictions/--no-predictions", help="Show beliefs a little later.")
-    ] = True,
-    newest: Annotated[
-        bool, typer.Option("--newest/--no-newest", help="Ours: show the newest belief by itself.")
-    ] = False,
-    ways: Annotated[
-        bool,
-        typer.Option(
-            "--ways/--no-ways", help="Ours: tell nodes how far apart they are, and by which way."
-        ),
-    ] = False,
-    geometry: Annotated[
-        bool,
-        typer.Option(
-            "--geometry/--no-geometry",
-            help="Ours: tell the decoder where neighbours lie and where the agent comes from.",
-        ),
-    ] = False,
-    tracks: Annotated[
-        bool,
-        typer.Option("--tracks/--no-tracks", help="Ours: show each target's last sightings."),
-    ] = False,
-    episodes: Annotated[
-        int | None, typer.Option(min=1, help="Episodes per iteration, over all processes.")
-    ] = None,
-    decisions: Annotated[int, typer.Option(min=2, help="Decisions per episode.")] = 256,
-    imitation_share: Annotated[
-        float,
-        typer.Option(min=0.0, max=1.0, help="expert: share of the time, PPO takes the rest."),
-    ] = 1.0,
-    validation_minutes: Annotated[
-        float, typer.Option(min=0.0, help="How often to fly the development seeds.")
-    ] = 14.0,
-    validation_episodes: Annotated[
-        int, typer.Option(min=1, help="How many of them, by the average of the weights.")
-    ] = 32,
+    recipe: RecipeOption = "expert",
+    out: OutOption = Path("runs/train"),
+    minutes: MinutesOption = 60.0,
+    seed: SeedOption = 0,
+    start: StartOption = None,
+    device: DeviceOption = "auto",
+    workers: WorkersOption = None,
+    validation_minutes: ValidationMinutesOption = 14.0,
+    validation_episodes: ValidationEpisodesOption = 32,
 ) -> None:
     """Train a policy. Kill it whenever you like: the same command goes on where it was.
 
     Several GPUs: torchrun --nproc-per-node 4 -m dronemon.training --recipe paper ...
     """
-    paper, expert = PpoConfig(decisions=decisions), ExpertConfig(decisions=decisions)
-    if episodes is not None:
-        paper = replace(paper, episodes_per_iteration=episodes)
-        expert = replace(expert, round_episodes=episodes)
-    expert = replace(
-        expert,
-        imitation_share=imitation_share,
-        finish=replace(expert.finish, decisions=decisions),
-    )
     plan = Plan(
         out=out,
-        recipe=recipe.value,
-        network=NetworkConfig(
-            width=width,
-            feed_forward=feed_forward if feed_forward is not None else 4 * width,
-            temporal=temporal.value,
-            predictions=predictions,
-            newest=newest,
-            ways=ways,
-            geometry=geometry,
-            tracks=tracks,
-        ),
-        paper=paper,
-        expert=expert,
+        recipe=load_recipe(recipe),
         start=start,
         minutes=minutes,
         seed=seed,
         device=device,
+        num_workers=workers if workers is not None else num_cores(),
         validation_minutes=validation_minutes,
         validation_episodes=validation_episodes,
     )

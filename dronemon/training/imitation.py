@@ -11,20 +11,18 @@ Source: Ross, Gordon & Bagnell (2011), algorithm 3.1.
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
 from dronemon.env import Setup
-from dronemon.errors import PolicyError
 from dronemon.planner.search import SearchSettings
 from dronemon.policy import (
     Card,
@@ -40,16 +38,19 @@ from dronemon.training.gae import advantages
 from dronemon.training.lessons import Lesson, teach
 from dronemon.training.peers import Peers
 from dronemon.training.ppo import (
+    Count,
+    Counts,
+    Positive,
     Ppo,
     PpoConfig,
     Precision,
+    Share,
+    Speeds,
     entropy,
     in_precision,
     scaled_rewards,
 )
-
-if TYPE_CHECKING:
-    from multiprocessing.sharedctypes import Synchronized
+from dronemon.workers import share_out
 
 T = TypeVar("T")
 
@@ -72,36 +73,39 @@ _NO_CARD = Card(recipe="expert", command="", commit="", date="", seeds="")
 class ExpertConfig:
     """Settings of the recipe; ranges are inclusive, episodes count over all processes.
 
-    round_episodes: taught each round, lesson_episodes of them with the same V, N and T;
-    taught_shares: of episodes that the teacher flies, each from a round on; updates: of the network
-    each round; temperature: of the soft targets, as a share of a decision's largest gain; workers:
-    that give lessons, over all processes (0: one per core); imitation_share: of the time budget,
-    before PPO; symmetries: learn each episode in the eight ways of seeing the square;
-    teacher_drawn, teacher_refined: effort of each of the teacher's planners.
+    round_episodes:  taught each round
+    lesson_episodes: of them with the same V, N and T
+    taught_shares:   of episodes that the teacher flies, each from a round on
+    greedy_share:    of episodes in which the student flies as it would in a mission
+    updates:         of the network each round
+    temperature:     of the soft targets, as a share of a decision's largest gain
+    imitation_share: of the time budget, before PPO
+    symmetries:      learn each episode in the eight ways of seeing the square
+    teacher_drawn:   effort of each of the teacher's planners
+    teacher_refined: the same
     """
 
-    round_episodes: int = 16
-    lesson_episodes: int = 4
-    taught_shares: tuple[tuple[int, float], ...] = ((0, 1.0), (3, 0.5), (9, 0.15))
-    greedy_share: float = 0.5
-    decisions: int = 256
-    updates: int = 128
-    minibatch_episodes: int = 2
-    learning_rate: float = 2e-3
-    final_learning_rate: float = 2e-5
-    warmup_updates: int = 100
-    max_gradient: float = 1.0
-    temperature: float = 0.01
-    imitation_share: float = 1.0
+    round_episodes: Count = 16
+    lesson_episodes: Count = 4
+    taught_shares: tuple[tuple[int, Share], ...] = ((0, 1.0), (3, 0.5), (9, 0.15))
+    greedy_share: Share = 0.5
+    decisions: Annotated[int, Field(ge=2)] = 256
+    updates: Count = 128
+    minibatch_episodes: Count = 2
+    learning_rate: Positive = 2e-3
+    final_learning_rate: Positive = 2e-5
+    warmup_updates: Count = 100
+    max_gradient: Positive = 1.0
+    temperature: Positive = 0.01
+    imitation_share: Share = 1.0
     symmetries: bool = True
     precision: Precision = "bfloat16"
-    workers: int = 0
-    teacher_drawn: int = 100
-    teacher_refined: int = 75
-    speed_ratio: tuple[float, float] = (0.025, 0.15)
-    num_nodes: tuple[int, int] = (150, 200)
-    history: tuple[int, int] = (50, 100)
-    num_targets: tuple[int, int] = (2, 8)
+    teacher_drawn: Count = 100
+    teacher_refined: Count = 75
+    speed_ratio: Speeds = (0.025, 0.15)
+    num_nodes: Counts = (150, 200)
+    history: Counts = (50, 100)
+    num_targets: Counts = (2, 8)
     finish: PpoConfig = FINISH
 
     @property
@@ -122,7 +126,7 @@ class ExpertConfig:
 
 
 class Expert:
-    """The recipe `expert`: imitation of the search planner, then PPO."""
+    """Imitation of the search planner, then PPO."""
 
     def __init__(
         self,
@@ -133,6 +137,7 @@ class Expert:
         device: torch.device,
         peers: Peers,
         folder: Path,
+        num_workers: int,
     ) -> None:
         self.network = network
         self.config = config
@@ -140,17 +145,13 @@ class Expert:
         self._device = device
         self._peers = peers
         self._folder = folder
+        self._num_workers = num_workers
         self._lessons: list[Lesson] = []
         self._files: list[list[str]] = []  # of each round, over all processes
         self._num_updates = 0
         self._optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
         self._finish = Ppo(network, config.finish, seed=seed, device=device, peers=peers)
         self.average = self._finish.average
-
-    @property
-    def settings(self) -> dict[str, object]:
-        """What a card says about the recipe."""
-        return asdict(self.config)
 
     def state(self) -> dict[str, Any]:
         """All that the next iteration depends on, besides the weights and the lessons on disk."""
@@ -210,7 +211,8 @@ class Expert:
             )
             for part in self._own(range(count))
         ]
-        _do_all(jobs, max(1, (config.workers or os.cpu_count() or 1) // size))
+        for _ in share_out(_Job.do, jobs, max(1, self._num_workers // size)):
+            pass
         self._files.append(files)
         return [self._read(name) for name in self._own(files)]
 
@@ -345,40 +347,3 @@ class _Job:
             rng=torch.Generator().manual_seed(int(rng.integers(2**60))),
         )
         write_atomically(self.path, lesson.to_parts())
-
-
-def _do_all(jobs: Sequence[_Job], num_workers: int) -> None:
-    """Do jobs side by side in processes; here, if there is only one.
-
-    Processes end with the job they are at when this one is killed.
-    """
-    num_workers = min(num_workers, len(jobs))
-    if num_workers == 1:
-        for job in jobs:
-            job.do()
-        return
-    context = multiprocessing.get_context("spawn")
-    num_taken = context.Value("i", 0)
-    processes = [
-        context.Process(target=_do, args=(jobs, num_taken), daemon=True) for _ in range(num_workers)
-    ]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    failed = [process.exitcode for process in processes if process.exitcode]
-    if failed:
-        raise PolicyError(f"{len(failed)} of {num_workers} teaching processes failed: see above")
-
-
-def _do(jobs: Sequence[_Job], num_taken: Synchronized[int]) -> None:
-    """Do jobs that no other process has taken."""
-    torch.set_num_threads(1)
-    parent = multiprocessing.parent_process()
-    while parent is not None and parent.is_alive():
-        with num_taken.get_lock():
-            index = num_taken.value
-            num_taken.value += 1
-        if index >= len(jobs):
-            return
-        jobs[index].do()

@@ -7,11 +7,12 @@ device; several processes each play and learn from their own episodes and averag
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from pydantic import AfterValidator, Field
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
@@ -27,36 +28,50 @@ AVERAGE_DECAY = 0.998
 Precision = Literal["float32", "bfloat16"]
 """What matrix products are computed in while learning; weights and logits are always float32."""
 
+Count = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+def _rising(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError(f"is {list(bounds)}; the lower bound comes first")
+    return bounds
+
+
+Counts = Annotated[tuple[Count, Count], AfterValidator(_rising)]
+Speeds = Annotated[tuple[Share, Share], AfterValidator(_rising)]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PpoConfig:
     """The paper's settings. Ranges are inclusive; episodes and iterations count over all processes.
 
-    curriculum_episodes: over which the greatest target speed rises from 0 to max_speed_ratio;
-    objective: `fall` is the paper's reward, `unc` the negative mean of sigma_bar along the leg.
+    curriculum_episodes: over which the greatest target speed rises from 0 to max_speed_ratio
+    objective:           `fall` is the paper's reward, `unc` minus the mean of sigma_bar on the leg
     """
 
-    episodes_per_iteration: int = 32
-    decisions: int = 256
-    epochs: int = 4
-    minibatch_episodes: int = 2
-    discount: float = 0.99
+    episodes_per_iteration: Count = 32
+    decisions: Annotated[int, Field(ge=2)] = 256
+    epochs: Count = 4
+    minibatch_episodes: Count = 2
+    discount: Share = 0.99
     # Differs from STAMP: lambda is 0 in the release and 1 in the paper's text.
-    lam: float = 0.95
-    clip: float = 0.2
+    lam: Share = 0.95
+    clip: Positive = 0.2
     value_weight: float = 0.2
     entropy_weight: float = 0.0
-    max_gradient: float = 5.0
-    learning_rate: float = 1e-4
-    decay: float = 0.96
+    max_gradient: Positive = 5.0
+    learning_rate: Positive = 1e-4
+    decay: Share = 0.96
     # Differs from STAMP: every 64 episodes, as the paper says, would stop learning after 10 000;
     # the release decays every 64 iterations.
-    decay_iterations: int = 64
-    curriculum_episodes: int = 10_000
-    max_speed_ratio: float = 0.1
-    num_nodes: tuple[int, int] = (100, 200)
-    history: tuple[int, int] = (50, 100)
-    num_targets: tuple[int, int] = (2, 5)
+    decay_iterations: Count = 64
+    curriculum_episodes: Annotated[int, Field(ge=0)] = 10_000
+    max_speed_ratio: Share = 0.1
+    num_nodes: Counts = (100, 200)
+    history: Counts = (50, 100)
+    num_targets: Counts = (2, 5)
     objective: Literal["fall", "unc"] = "fall"
     reward_scale: float = 5.0
     decision_cost: float = 0.1
@@ -73,7 +88,7 @@ class PpoConfig:
 
 
 class Ppo:
-    """The recipe `paper`: reinforcement learning from scratch, or from given weights."""
+    """Reinforcement learning from scratch, or from given weights."""
 
     def __init__(
         self,
@@ -93,11 +108,6 @@ class Ppo:
         self._peers = peers
         self._num_iterations = 0
         self._optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
-
-    @property
-    def settings(self) -> dict[str, object]:
-        """What a card says about the recipe."""
-        return asdict(self.config)
 
     def state(self) -> dict[str, Any]:
         """All that the next iteration depends on, besides the weights."""

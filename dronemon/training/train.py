@@ -1,9 +1,9 @@
-"""Training from start to finish: iterations of a recipe, validation, and a run that can be killed.
+"""Training from start to finish: iterations of a learner, validation, and a run that can be killed.
 
 A run is a folder. `state.pt` holds everything the next iteration depends on and is replaced after
-each, so a kill at any point costs at most the iteration under way; `metrics.jsonl` holds a line per
-iteration; `best.pt` and `best.md` are the averaged weights with the lowest `val_unc` so far, and
-their card.
+each, so a kill at any point costs at most the iteration under way; `recipe.yaml` is the recipe as
+used; `metrics.jsonl` holds a line per iteration; `best.pt` and `best.md` are the averaged weights
+with the lowest `val_unc` so far, and their card.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import torch
 from torch.optim.swa_utils import AveragedModel
@@ -23,7 +23,6 @@ from torch.optim.swa_utils import AveragedModel
 from dronemon.errors import CheckpointMismatch
 from dronemon.policy import (
     Card,
-    NetworkConfig,
     PolicyNetwork,
     find_checkpoint,
     load_checkpoint,
@@ -32,11 +31,13 @@ from dronemon.policy import (
     write_atomically,
 )
 from dronemon.problem import FIRST_DEVELOPMENT_SEED
-from dronemon.training.imitation import Expert, ExpertConfig
+from dronemon.training.imitation import Expert
 from dronemon.training.peers import Peers, join_peers, own_device
 from dronemon.training.ppo import Ppo, PpoConfig
+from dronemon.training.recipe import Recipe
 from dronemon.training.validation import validate
 from dronemon.version import code_version
+from dronemon.workers import num_cores
 
 METRICS: dict[str, str] = {
     "iteration": "iterations of the recipe so far",
@@ -64,18 +65,13 @@ METRICS: dict[str, str] = {
     "val_lost": "share of targets with sigma_bar > 0.9, the same episodes",
 }
 """Every number that training logs, and what it means."""
-STATE_FORMAT = "dronemon training 2"
+STATE_FORMAT = "dronemon training 3"
 
 
-class Recipe(Protocol):
+class Learner(Protocol):
     """A way to train: `iterate` plays and learns once; the average is what is worth keeping."""
 
     average: AveragedModel
-
-    @property
-    def settings(self) -> dict[str, object]:
-        """What a card says about it."""
-        ...
 
     def iterate(self, progress: float) -> dict[str, float]:
         """Play and learn. progress: share of the time budget that is spent -> metrics."""
@@ -102,36 +98,28 @@ class Listener(Protocol):
 class Plan:
     """What to train, for how long, and where.
 
-    start: path or name of a checkpoint whose weights to begin with; validation_episodes and
-    validation_decisions: how thoroughly to measure, every validation_minutes and at the end.
+    start:                path or name of a checkpoint whose weights to begin with
+    num_workers:          processes that give lessons, over all that train
+    validation_minutes:   between measurements; the last one is at the end
+    validation_episodes:  how thoroughly to measure
+    validation_decisions: in each of these episodes
     """
 
     out: Path
-    recipe: Literal["paper", "expert"] = "expert"
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-    paper: PpoConfig = field(default_factory=PpoConfig)
-    expert: ExpertConfig = field(default_factory=ExpertConfig)
+    recipe: Recipe = field(default_factory=Recipe)
     start: str | None = None
     minutes: float = 60.0
     seed: int = 0
     device: str = "auto"
+    num_workers: int = field(default_factory=num_cores)
     validation_minutes: float = 14.0
     validation_episodes: int = 32
     validation_decisions: int = 300
 
     @property
     def identity(self) -> dict[str, object]:
-        """What a resumed run must share with the run it goes on with."""
-        recipe = self.paper if self.recipe == "paper" else self.expert
-        identity = {
-            "recipe": self.recipe,
-            "network": asdict(self.network),
-            "settings": asdict(recipe),
-            "start": self.start,
-            "seed": self.seed,
-        }
-        as_read: dict[str, object] = json.loads(json.dumps(identity))
-        return as_read
+        """What a resumed run must share with the run it goes on with, by dotted names."""
+        return _flat({**self.recipe.facts, "start": self.start, "seed": self.seed})
 
 
 @dataclass(slots=True)
@@ -155,24 +143,27 @@ def train(plan: Plan, *, command: str, listen: Listener) -> Path:
     with join_peers(device) as peers:
         network = _first_weights(plan).to(device)
         peers.share_weights(network)
-        recipe = _recipe(plan, network, device, peers)
-        run = _resume(plan, network, recipe)
+        learner = _learner(plan, network, device, peers)
+        run = _resume(plan, network, learner)
+        if peers.is_first:
+            plan.out.mkdir(parents=True, exist_ok=True)
+            (plan.out / "recipe.yaml").write_text(plan.recipe.text, encoding="utf-8")
         best = plan.out / "best.pt"
         budget_s = 60.0 * plan.minutes
         while run.elapsed_s < budget_s:
             began = time.monotonic()
-            metrics = peers.agree(recipe.iterate(run.elapsed_s / budget_s), device)
+            metrics = peers.agree(learner.iterate(run.elapsed_s / budget_s), device)
             run.iteration += 1
             _spend(run, began, peers, device)
             is_due = run.elapsed_s - run.validated_s >= 60.0 * plan.validation_minutes
             if is_due or run.elapsed_s >= budget_s:
                 began = time.monotonic()
-                metrics |= _measure(plan, recipe, device) if peers.is_first else {}
+                metrics |= _measure(plan, learner, device) if peers.is_first else {}
                 _spend(run, began, peers, device)
                 run.validated_s = run.elapsed_s
             row = {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
             if peers.is_first:
-                _record(plan, network, recipe, run, row, command)
+                _record(plan, network, learner, run, row, command)
                 listen(run.elapsed_s / budget_s, row)
         return best
 
@@ -186,26 +177,39 @@ def _spend(run: _Run, began_s: float, peers: Peers, device: torch.device) -> Non
 def _first_weights(plan: Plan) -> PolicyNetwork:
     """New weights from the seed, or those of a checkpoint."""
     if plan.start is not None:
-        return load_checkpoint(find_checkpoint(plan.start), expected=plan.network).network.train()
+        return load_checkpoint(
+            find_checkpoint(plan.start), expected=plan.recipe.network
+        ).network.train()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(plan.seed)
-        return PolicyNetwork(plan.network)
+        return PolicyNetwork(plan.recipe.network)
 
 
-def _recipe(plan: Plan, network: PolicyNetwork, device: torch.device, peers: Peers) -> Recipe:
-    if plan.recipe == "paper":
-        return Ppo(network, plan.paper, seed=plan.seed, device=device, peers=peers)
+def _learner(plan: Plan, network: PolicyNetwork, device: torch.device, peers: Peers) -> Learner:
+    settings = plan.recipe.settings
+    if isinstance(settings, PpoConfig):
+        return Ppo(network, settings, seed=plan.seed, device=device, peers=peers)
     return Expert(
         network,
-        plan.expert,
+        settings,
         seed=plan.seed,
         device=device,
         peers=peers,
         folder=plan.out / "lessons",
+        num_workers=plan.num_workers,
     )
 
 
-def _resume(plan: Plan, network: PolicyNetwork, recipe: Recipe) -> _Run:
+def _flat(facts: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
+    """Nested values by dotted names."""
+    flat: dict[str, object] = {}
+    for key, value in facts.items():
+        nested = isinstance(value, Mapping)
+        flat |= _flat(value, f"{prefix}{key}.") if nested else {prefix + key: value}
+    return flat
+
+
+def _resume(plan: Plan, network: PolicyNetwork, learner: Learner) -> _Run:
     """Take up the run in the folder, if there is one."""
     path = plan.out / "state.pt"
     if not path.exists():
@@ -214,28 +218,29 @@ def _resume(plan: Plan, network: PolicyNetwork, recipe: Recipe) -> _Run:
     if state.get("format") != STATE_FORMAT:
         raise CheckpointMismatch(f"{path}: not the state of a training run; choose another --out")
     if state["identity"] != plan.identity:
-        pairs = plan.identity.items()
-        name = next(name for name, value in pairs if state["identity"].get(name) != value)
+        before, now = state["identity"], plan.identity
+        name = next(n for n in {**before, **now} if before.get(n) != now.get(n))
         raise CheckpointMismatch(
-            f"{path}: that run has {name} {state['identity'].get(name)}, not"
-            f" {plan.identity[name]}; repeat its options to go on with it, or choose another --out"
+            f"{path}: that run has {name} {before.get(name)}, not {now.get(name)}; repeat its"
+            f" options and its recipe, {plan.out / 'recipe.yaml'}, to go on with it, or choose"
+            " another --out"
         )
     network.load_state_dict(state["weights"])
-    recipe.restore(state["recipe"])
+    learner.restore(state["learner"])
     _forget_lines(plan.out / "metrics.jsonl", state["run"]["iteration"])
     return _Run(**state["run"])
 
 
-def _average(recipe: Recipe) -> PolicyNetwork:
+def _average(learner: Learner) -> PolicyNetwork:
     """The network with averaged weights, which is validated and kept."""
-    network = recipe.average.module
+    network = learner.average.module
     assert isinstance(network, PolicyNetwork)
     return network
 
 
-def _measure(plan: Plan, recipe: Recipe, device: torch.device) -> dict[str, float]:
+def _measure(plan: Plan, learner: Learner, device: torch.device) -> dict[str, float]:
     return validate(
-        _average(recipe),
+        _average(learner),
         episodes=plan.validation_episodes,
         decisions=plan.validation_decisions,
         device=device,
@@ -245,20 +250,19 @@ def _measure(plan: Plan, recipe: Recipe, device: torch.device) -> dict[str, floa
 def _record(
     plan: Plan,
     network: PolicyNetwork,
-    recipe: Recipe,
+    learner: Learner,
     run: _Run,
     row: dict[str, float],
     command: str,
 ) -> None:
     """Write what an iteration led to; the state last, since it makes the rest count."""
     assert run.curve is not None
-    plan.out.mkdir(parents=True, exist_ok=True)
     if "val_unc" in row:
         names = ("iteration", "minutes", "val_unc", "val_reward", "val_lost")
         run.curve.append({name: row[name] for name in names})
         if row["val_unc"] < run.best_unc:
             run.best_unc = row["val_unc"]
-            _keep(plan, recipe, run, row, command)
+            _keep(plan, learner, run, row, command)
     with (plan.out / "metrics.jsonl").open("a", encoding="utf-8") as file:
         file.write(json.dumps(row) + "\n")
         file.flush()
@@ -269,7 +273,7 @@ def _record(
             "format": STATE_FORMAT,
             "identity": plan.identity,
             "weights": network.state_dict(),
-            "recipe": recipe.state(),
+            "learner": learner.state(),
             "run": asdict(run),
         },
     )
@@ -277,15 +281,15 @@ def _record(
 
 def _keep(
     plan: Plan,
-    recipe: Recipe,
+    learner: Learner,
     run: _Run,
     row: dict[str, float],
     command: str,
 ) -> None:
     """Write the best weights so far, with their card."""
-    network = _average(recipe)
+    network = _average(learner)
     card = Card(
-        recipe=plan.recipe,
+        recipe=plan.recipe.learner,
         command=command,
         commit=code_version(),
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
@@ -293,10 +297,10 @@ def _keep(
             f"root {plan.seed}; chosen on {FIRST_DEVELOPMENT_SEED} to"
             f" {FIRST_DEVELOPMENT_SEED + plan.validation_episodes - 1}"
         ),
-        settings=json.loads(json.dumps(recipe.settings)),
+        settings=plan.recipe.facts["settings"],
         curve=tuple(run.curve or ()),
         scores={name: value for name, value in row.items() if name.startswith("val_")},
-        scope=(plan.paper if plan.recipe == "paper" else plan.expert).scope,
+        scope=plan.recipe.settings.scope,
     )
     save_checkpoint(plan.out / "best.pt", network, card)
     (plan.out / "best.md").write_text(card.markdown("best", network.config), encoding="utf-8")

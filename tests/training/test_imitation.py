@@ -22,7 +22,9 @@ CONFIG = ExpertConfig(
 )
 
 
-def make_expert(folder: Path, config: ExpertConfig = CONFIG, peers: Peers | None = None) -> Expert:
+def make_expert(
+    folder: Path, config: ExpertConfig = CONFIG, peers: Peers | None = None, num_workers: int = 1
+) -> Expert:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         network = PolicyNetwork(NetworkConfig(width=16, num_heads=2, feed_forward=24))
@@ -33,6 +35,7 @@ def make_expert(folder: Path, config: ExpertConfig = CONFIG, peers: Peers | None
         device=torch.device("cpu"),
         peers=peers if peers is not None else Peers(),
         folder=folder,
+        num_workers=num_workers,
     )
 
 
@@ -87,13 +90,12 @@ def give_round(folder: Path, *, workers: int) -> Expert:
         CONFIG,
         round_episodes=3,
         lesson_episodes=1,
-        workers=workers,
         num_nodes=(20, 30),
         num_targets=(2, 3),
         teacher_drawn=20,
         teacher_refined=10,
     )
-    expert = make_expert(folder, config)
+    expert = make_expert(folder, config, num_workers=workers)
     expert._take_lessons()
     return expert
 

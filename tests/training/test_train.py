@@ -20,6 +20,7 @@ from dronemon.policy import NetworkConfig, load_checkpoint, read_tensors
 from dronemon.training import METRICS, Plan, train
 from dronemon.training.imitation import ExpertConfig
 from dronemon.training.ppo import PpoConfig
+from dronemon.training.recipe import Recipe, load_recipe
 
 SMALL = NetworkConfig(
     width=16, num_heads=2, feed_forward=24, newest=True, ways=True, geometry=True, tracks=True
@@ -37,12 +38,15 @@ EXPERT = ExpertConfig(
     lesson_episodes=1,
     decisions=8,
     updates=2,
-    workers=1,
     num_nodes=(20, 30),
     history=(8, 12),
     num_targets=(2, 3),
     finish=replace(PAPER, objective="unc"),
 )
+RECIPES = {
+    "ppo": Recipe(learner="ppo", network=SMALL, settings=PAPER),
+    "expert": Recipe(learner="expert", network=SMALL, settings=EXPERT),
+}
 
 
 class Stop(Exception):
@@ -52,12 +56,10 @@ class Stop(Exception):
 def make_plan(out: Path, **changes: object) -> Plan:
     plan = Plan(
         out=out,
-        recipe="paper",
-        network=SMALL,
-        paper=PAPER,
-        expert=EXPERT,
+        recipe=RECIPES["ppo"],
         minutes=1e6,
         device="cpu",
+        num_workers=1,
         validation_minutes=0.0,
         validation_episodes=1,
         validation_decisions=5,
@@ -78,8 +80,9 @@ def run(plan: Plan, iterations: int) -> None:
         train(plan, command="test", listen=listen)
 
 
-@pytest.mark.parametrize("recipe", ["paper", "expert"])
-def test_a_resumed_run_equals_one_that_was_never_interrupted(recipe: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("learner", ["ppo", "expert"])
+def test_a_resumed_run_equals_one_that_was_never_interrupted(learner: str, tmp_path: Path) -> None:
+    recipe = RECIPES[learner]
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     run(make_plan(whole, recipe=recipe), 2)
     run(make_plan(parts, recipe=recipe), 1)
@@ -95,7 +98,8 @@ def test_a_resumed_run_equals_one_that_was_never_interrupted(recipe: str, tmp_pa
 
 
 def test_the_expert_ends_with_ppo(tmp_path: Path) -> None:
-    plan = make_plan(tmp_path, recipe="expert", expert=replace(EXPERT, imitation_share=0.0))
+    recipe = replace(RECIPES["expert"], settings=replace(EXPERT, imitation_share=0.0))
+    plan = make_plan(tmp_path, recipe=recipe)
     run(plan, 1)
     row = json.loads((tmp_path / "metrics.jsonl").read_text())
     assert "kl" in row
@@ -115,9 +119,10 @@ def test_a_run_can_begin_with_other_weights(tmp_path: Path) -> None:
     run(make_plan(tmp_path / "first"), 1)
     start = str(tmp_path / "first" / "best.pt")
     run(make_plan(tmp_path / "second", start=start), 1)
+    wider = replace(RECIPES["ppo"], network=replace(SMALL, width=32))
     with pytest.raises(CheckpointMismatch, match="its width is 16, not 32"):
         train(
-            make_plan(tmp_path / "third", start=start, network=replace(SMALL, width=32)),
+            make_plan(tmp_path / "third", start=start, recipe=wider),
             command="test",
             listen=lambda *_: None,
         )
@@ -127,9 +132,27 @@ def test_a_folder_with_another_run_is_refused(tmp_path: Path) -> None:
     run(make_plan(tmp_path), 1)
     with pytest.raises(CheckpointMismatch, match="that run has seed 0, not 1"):
         run(make_plan(tmp_path, seed=1), 1)
+    longer = replace(RECIPES["ppo"], settings=replace(PAPER, decisions=13))
+    with pytest.raises(CheckpointMismatch, match=r"settings\.decisions 12, not 13; .*recipe\.yaml"):
+        run(make_plan(tmp_path, recipe=longer), 1)
+    assert load_recipe(str(tmp_path / "recipe.yaml")) == RECIPES["ppo"]
     (tmp_path / "state.pt").write_bytes(b"what a broken disk leaves")
     with pytest.raises(CheckpointMismatch, match=r"state\.pt"):
         run(make_plan(tmp_path), 1)
+
+
+SLIM = """
+learner: ppo
+network: {width: 16, feed_forward: 64}
+settings: {episodes_per_iteration: 2, decisions: 16}
+"""
+
+
+def write_recipe(folder: Path, text: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    path = folder / "mine.yaml"
+    path.write_text(text)
+    return path
 
 
 def spawn(out: Path, minutes: float, *options: str) -> subprocess.Popen[bytes]:
@@ -142,8 +165,7 @@ def spawn(out: Path, minutes: float, *options: str) -> subprocess.Popen[bytes]:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_run_survives_kill_9(tmp_path: Path) -> None:
-    options = ["--width", "16", "--episodes", "2", "--decisions", "16"]
-    options += ["--validation-episodes", "1", "--recipe", "paper"]
+    options = ["--validation-episodes", "1", "--recipe", str(write_recipe(tmp_path, SLIM))]
     process = spawn(tmp_path, 1.0, *options)
     while not (tmp_path / "state.pt").exists():
         time.sleep(0.1)
@@ -164,10 +186,14 @@ def test_a_run_survives_kill_9(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_two_minutes_of_training_improve_the_reward(tmp_path: Path) -> None:
-    options = ["--width", "32", "--ways", "--episodes", "4"]
-    options += ["--decisions", "96", "--validation-episodes", "8"]
-    assert spawn(tmp_path / "untrained", 0.1, *options, "--recipe", "paper").wait() == 0
-    assert spawn(tmp_path / "trained", 2.0, *options).wait() == 0
+    network = "network: {width: 32, feed_forward: 128, ways: true}\n"
+    for name, minutes, learner in (
+        ("untrained", 0.1, "learner: ppo\nsettings: {episodes_per_iteration: 4, decisions: 96}\n"),
+        ("trained", 2.0, "learner: expert\nsettings: {round_episodes: 4, decisions: 96}\n"),
+    ):
+        recipe = write_recipe(tmp_path / name, learner + network)
+        options = ["--validation-episodes", "8", "--recipe", str(recipe)]
+        assert spawn(tmp_path / name, minutes, *options).wait() == 0
     before, after = (
         load_checkpoint(tmp_path / name / "best.pt").card.scores
         for name in ("untrained", "trained")
@@ -180,9 +206,9 @@ def test_two_minutes_of_training_improve_the_reward(tmp_path: Path) -> None:
 @pytest.mark.timeout(300)
 def test_two_processes_train_one_network(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
-    command += ["2", "-m", "dronemon.training", "--recipe", "paper", "--device", "cpu"]
-    command += ["--out", str(tmp_path), "--minutes", "0.3", "--width", "16", "--episodes", "4"]
-    command += ["--decisions", "16", "--validation-episodes", "1"]
+    recipe = write_recipe(tmp_path, SLIM.replace("iteration: 2", "iteration: 4"))
+    command += ["2", "-m", "dronemon.training", "--recipe", str(recipe), "--device", "cpu"]
+    command += ["--out", str(tmp_path), "--minutes", "0.3", "--validation-episodes", "1"]
     assert subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 0
     row = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[0])
     assert row["decisions"] == 64
