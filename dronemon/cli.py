@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
 import sys
@@ -26,8 +25,8 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.terminal import console, facts_table, print_error
 from dronemon.vision.prototypes import NEEDED_PX_PER_M
 
-# What is slow to import (torch, numba, MAVSDK, OpenCV, Rerun) is imported by the command that
-# needs it, so that the others answer at once.
+# What is slow to import (torch, numba, MAVSDK, OpenCV, Rerun, asyncio) is imported by the command
+# that needs it, so that the others answer at once.
 
 INTERRUPTED = 130
 _DEFAULT_MISSION = "animals"
@@ -118,6 +117,8 @@ def fly_command(
 ) -> None:
     """Fly a mission: take off, patrol, come home, land. Ctrl-C returns; twice lands now."""
     checked = _checked(context)
+    import asyncio
+
     from dronemon.assembly import assemble_and_fly
     from dronemon.runner.summary import facts
 
