@@ -20,9 +20,9 @@ from dronemon.errors import DronemonError, OptionError, VehicleError
 from dronemon.mission import Mission, MissionFile, shipped_missions
 from dronemon.mission.checks import outbound_min, usable_min
 from dronemon.planner.registry import CLASS_PATTERN, describe_planners, is_bound
-from dronemon.preflight import load_checked, px_per_m
+from dronemon.preflight import doubts, load_checked, px_per_m
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.terminal import console, facts_table, print_error
+from dronemon.terminal import console, facts_table, print_error, print_warning
 from dronemon.vision.prototypes import NEEDED_PX_PER_M
 
 # What is slow to import (torch, numba, MAVSDK, OpenCV, Rerun, asyncio) is imported by the command
@@ -150,7 +150,7 @@ def check(
 
 
 def _checked(context: typer.Context) -> MissionFile:
-    """The mission that a command was given, with its options in place. Raises DronemonError."""
+    """The mission that a command was given, with its options; doubts are told on stderr."""
     given = context.params
     if given["file"] and given["mission"]:
         raise OptionError(f"the mission is given twice: {given['file']} and --mission; leave one")
@@ -160,7 +160,10 @@ def _checked(context: typer.Context) -> MissionFile:
         if given[name] is not None
     }
     name = given["file"] or given["mission"] or _DEFAULT_MISSION
-    return load_checked(name, overrides, given["follow"])
+    checked = load_checked(name, overrides, given["follow"])
+    for doubt in doubts(checked.mission, given["follow"]):
+        print_warning(f"planner {checked.mission.planner.kind}: {doubt}")
+    return checked
 
 
 def _facts(m: Mission) -> dict[str, str]:

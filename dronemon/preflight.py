@@ -48,6 +48,23 @@ def make_planner(kind: str, checkpoint: str | None) -> Planner:
     return planner
 
 
+def doubts(mission: Mission, follow: str | None) -> list[str]:
+    """What of a mission its planner was not trained for, a sentence each."""
+    if not has_weights(mission.planner.kind):
+        return []
+    from dronemon.planner.learned import LearnedPlanner  # torch is slow to import
+
+    planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
+    assert isinstance(planner, LearnedPlanner)
+    is_simulated = mission.vehicle.is_mock or follow is not None
+    return planner.outside_training(
+        num_targets=len(mission.targets),
+        num_nodes=mission.roadmap.num_nodes,
+        speed_ratio=mission.simulation.speed_ratio if is_simulated else None,
+        prior="number" if any(t.prior_au is None for t in mission.targets) else "full",
+    )
+
+
 def px_per_m(mission: Mission) -> float:
     """Size on the picture, seen from the patrol's height, of a metre on the ground."""
     return mission.camera.model.focal_px / mission.flight.altitude_m
@@ -81,15 +98,24 @@ def _simulator_problems(mission: Mission, *, has_simulator: bool) -> Iterator[Pr
 
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the detector can tell animals from the patrol's height."""
-    if px_per_m(mission) < NEEDED_PX_PER_M:
-        highest_m = mission.camera.model.focal_px / NEEDED_PX_PER_M
+    highest_m = mission.camera.model.focal_px / NEEDED_PX_PER_M
+    side_m, altitude_m = mission.area.side_m, mission.flight.altitude_m
+    if highest_m < mission.needed_altitude_m:
+        yield (
+            ("area", "side_m"),
+            f"{side_m:g} m is too large for the camera: its footprint of "
+            f"{mission.sensor_radius_m:g} m takes {mission.needed_altitude_m:.1f} m of height, but "
+            f"above {highest_m:.0f} m a metre is less than the {NEEDED_PX_PER_M:g} pixels that "
+            f"the detector needs; make it {side_m * highest_m / mission.needed_altitude_m:.0f} m "
+            "or less, lower max_acceleration_m_s2, or use a camera with more pixels",
+        )
+    elif altitude_m > highest_m:
         yield (
             ("flight", "altitude_m"),
-            f"{mission.flight.altitude_m:g} m is too high: a metre on the ground is "
-            f"{px_per_m(mission):.1f} pixels of this camera, and the detector needs "
-            f"{NEEDED_PX_PER_M:g} to know an animal; fly at {highest_m:.0f} m or lower (the "
-            f"footprint of {mission.sensor_radius_m:g} m takes {mission.needed_altitude_m:.1f} "
-            "m), or use a camera with more pixels",
+            f"{altitude_m:g} m is too high: a metre on the ground is {px_per_m(mission):.1f} "
+            f"pixels of this camera, and the detector needs {NEEDED_PX_PER_M:g} to know an "
+            f"animal; fly at {mission.needed_altitude_m:.1f} to {highest_m:.0f} m, or use a "
+            "camera with more pixels",
         )
 
 

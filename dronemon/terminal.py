@@ -102,3 +102,8 @@ def print_error(message: str) -> None:
     """Say what went wrong, on stderr, a line each."""
     for line in message.splitlines():
         _errors.print(f"error: {line}", style="bold red", soft_wrap=True, markup=False)
+
+
+def print_warning(message: str) -> None:
+    """Say what may go less well than hoped, on stderr."""
+    _errors.print(f"warning: {message}", style="yellow", soft_wrap=True, markup=False)

@@ -138,11 +138,13 @@ def test_what_the_detector_cannot_see_is_refused_with_the_numbers(run, mission):
     assert code == 2
     assert "m.yaml:7: flight.altitude_m: 100 m is too high" in err
     assert "3.2 pixels" in err
-    assert "64 m or lower" in err
+    assert "fly at 42.2 to 58 m" in err
     wide = mission("side_m: 200", "side_m: 600")
     code, _, err = run("fly", wide, "--planner", "tsp")
     assert code == 2
+    assert "m.yaml:5: area.side_m: 600 m is too large for the camera" in err
     assert "126.7 m" in err
+    assert "make it 276 m or less" in err
 
 
 def test_bad_mission_is_exit_2_and_one_message(run, mission):
@@ -167,6 +169,16 @@ def test_missing_checkpoint(run, mission):
     assert code == 2
     assert "m.yaml:16: planner.checkpoint" in err
     assert "no.pt" in err
+
+
+def test_what_the_network_was_not_trained_for_is_told(run, mission):
+    code, _, err = run("check", mission("speed_ratio: 0.05", "speed_ratio: 0.5"))
+    assert code == 0
+    assert err.startswith("warning: planner stamp: 0.5 times the drone's speed")
+    code, _, err = run("check", mission("fox, prior_au: simulated", "fox"))
+    assert code == 0
+    assert "prior number" in err
+    assert run("check", mission())[2] == ""
 
 
 def test_a_bound_is_no_planner_to_fly(run, mission):
