@@ -102,11 +102,6 @@ class Autopilot:
         return self.time_s >= _READY_AFTER_S and self.estimate.gps_lost_s == 0.0
 
     @property
-    def is_in_air(self) -> bool:
-        """Whether it flies."""
-        return not self.is_landed
-
-    @property
     def is_setpoint_late(self) -> bool:
         """Whether it flies an offboard setpoint that should have been followed by another."""
         is_flying_it = self.commander.is_armed and self.commander.mode is Px4Mode.OFFBOARD
@@ -161,7 +156,7 @@ class Autopilot:
         self._fly()
         self.estimate.step(STEP_S, has_gps=self.has_gps)
         self._detect_landing()
-        if self.is_in_air:
+        if not self.is_landed:
             self.battery_level = max(0.0, self.battery_level - STEP_S / self.endurance_s)
 
     def _update_commander(self) -> None:

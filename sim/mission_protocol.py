@@ -100,24 +100,9 @@ class MissionProtocol:
         if message.seq >= len(items):
             return [_mission_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
         i = items[message.seq]
-        return [
-            mavlink.MAVLink_mission_item_int_message(
-                *_to(message),
-                i.seq,
-                i.frame,
-                i.command,
-                int(i.seq == self._store.current),
-                i.autocontinue,
-                i.param1,
-                i.param2,
-                i.param3,
-                i.param4,
-                i.x,
-                i.y,
-                i.z,
-                i.mission_type,
-            )
-        ]
+        head = (i.seq, i.frame, i.command, int(i.seq == self._store.current), i.autocontinue)
+        rest = (i.param1, i.param2, i.param3, i.param4, i.x, i.y, i.z, i.mission_type)
+        return [mavlink.MAVLink_mission_item_int_message(*_to(message), *head, *rest)]
 
     def _clear(self, message: Any) -> list[Any]:
         self._upload = None

@@ -195,13 +195,15 @@ def _stamp(
         (int(right - left), int(bottom - top)),
         cv2.BORDER_CONSTANT,
     )
-    part = image[top:bottom, left:right]
-    alpha = layer[..., 3]
-    if is_shadow:
-        part[:] = cv2.multiply(part, _three(255 - alpha // 2), scale=1.0 / 255.0)
-    else:
-        shaded = cv2.multiply(part, _three(255 - alpha), scale=1.0 / 255.0)
-        part[:] = cv2.add(shaded, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR))
+    _lay_over(image[top:bottom, left:right], layer, is_shadow=is_shadow)
+
+
+def _lay_over(part: ImageArray, layer: ImageArray, *, is_shadow: bool) -> None:
+    """Mix a layer, or half its shadow, into a part of the picture."""
+    alpha = layer[..., 3] // 2 if is_shadow else layer[..., 3]
+    part[:] = cv2.multiply(part, _three(255 - alpha), scale=1.0 / 255.0)
+    if not is_shadow:
+        part[:] = cv2.add(part, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR))
 
 
 def _three(channel: ImageArray) -> ImageArray:

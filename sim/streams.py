@@ -12,6 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from dronemon.types import Vector3
 from sim.autopilot import Autopilot
 from sim.commander import GPS_LOSS_TOLERATED_S, Charge
 from sim.dynamics import GRAVITY_M_S2
@@ -52,6 +53,12 @@ def time_boot_ms(autopilot: Autopilot) -> int:
 
 def _time_us(autopilot: Autopilot) -> int:
     return round(autopilot.time_s * 1e6)
+
+
+def _place(autopilot: Autopilot, position_ned_m: list[float] | Vector3) -> tuple[int, int, int]:
+    """Latitude and longitude in 1e-7 degrees and altitude in mm, as MAVLink carries them."""
+    latitude_deg, longitude_deg, altitude_m = autopilot.map.to_geo(position_ned_m)
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1000.0)
 
 
 def _heartbeat(autopilot: Autopilot) -> Any:
@@ -124,12 +131,8 @@ def _attitude(autopilot: Autopilot) -> Any:
     estimate, body = autopilot.estimate, autopilot.body
     return mavlink.MAVLink_attitude_message(
         time_boot_ms(autopilot),
-        estimate.roll,
-        estimate.pitch,
-        estimate.yaw,
-        body.roll_rate,
-        body.pitch_rate,
-        body.yaw_rate,
+        *(estimate.roll, estimate.pitch, estimate.yaw),
+        *(body.roll_rate, body.pitch_rate, body.yaw_rate),
     )
 
 
@@ -138,9 +141,7 @@ def _attitude_quaternion(autopilot: Autopilot) -> Any:
     return mavlink.MAVLink_attitude_quaternion_message(
         time_boot_ms(autopilot),
         *quaternion(estimate.roll, estimate.pitch, estimate.yaw),
-        body.roll_rate,
-        body.pitch_rate,
-        body.yaw_rate,
+        *(body.roll_rate, body.pitch_rate, body.yaw_rate),
     )
 
 
@@ -165,12 +166,9 @@ def _global_position_int(autopilot: Autopilot) -> Any:
     if not autopilot.has_position:
         return None
     estimate = autopilot.estimate
-    latitude, longitude, altitude = autopilot.map.to_geo(estimate.position)
     return mavlink.MAVLink_global_position_int_message(
         time_boot_ms(autopilot),
-        round(latitude * 1e7),
-        round(longitude * 1e7),
-        round(altitude * 1000.0),
+        *_place(autopilot, estimate.position),
         round(autopilot.navigator.height_m * 1000.0),
         *(round(v * 100.0) for v in estimate.velocity),
         round(_heading_deg(autopilot) * 100.0) % 36000,
@@ -178,16 +176,13 @@ def _global_position_int(autopilot: Autopilot) -> Any:
 
 
 def _gps_raw_int(autopilot: Autopilot) -> Any:
-    latitude, longitude, altitude = autopilot.map.to_geo(autopilot.body.position)
     v_north, v_east, _ = autopilot.body.velocity
     course_deg = math.degrees(math.atan2(v_east, v_north)) % 360.0
     has_fix = autopilot.has_gps
     return mavlink.MAVLink_gps_raw_int_message(
         _time_us(autopilot),
         mavlink.GPS_FIX_TYPE_3D_FIX if has_fix else mavlink.GPS_FIX_TYPE_NO_FIX,
-        round(latitude * 1e7) if has_fix else 0,
-        round(longitude * 1e7) if has_fix else 0,
-        round(altitude * 1000.0) if has_fix else 0,
+        *(_place(autopilot, autopilot.body.position) if has_fix else (0, 0, 0)),
         80 if has_fix else _UNKNOWN_16,
         80 if has_fix else _UNKNOWN_16,
         round(math.hypot(v_north, v_east) * 100.0),
@@ -260,29 +255,17 @@ def _battery_status(autopilot: Autopilot) -> Any:
 def _home_position(autopilot: Autopilot) -> Any:
     if not autopilot.has_home:
         return None
-    latitude, longitude, altitude = autopilot.map.to_geo(autopilot.navigator.home)
+    home, upright, approach = autopilot.navigator.home, [1.0, 0.0, 0.0, 0.0], (0.0, 0.0, 0.0)
     return mavlink.MAVLink_home_position_message(
-        round(latitude * 1e7),
-        round(longitude * 1e7),
-        round(altitude * 1000.0),
-        *autopilot.navigator.home,
-        [1.0, 0.0, 0.0, 0.0],
-        0.0,
-        0.0,
-        0.0,
-        _time_us(autopilot),
+        *_place(autopilot, home), *home, upright, *approach, _time_us(autopilot)
     )
 
 
 def _gps_global_origin(autopilot: Autopilot) -> Any:
     if not autopilot.has_position:
         return None
-    return mavlink.MAVLink_gps_global_origin_message(
-        round(autopilot.origin.latitude_deg * 1e7),
-        round(autopilot.origin.longitude_deg * 1e7),
-        round(autopilot.origin.altitude_m * 1000.0),
-        _time_us(autopilot),
-    )
+    origin = _place(autopilot, (0.0, 0.0, 0.0))
+    return mavlink.MAVLink_gps_global_origin_message(*origin, _time_us(autopilot))
 
 
 def _estimator_status(autopilot: Autopilot) -> Any:

@@ -46,12 +46,7 @@ class World:
         """The area, laid around home or the mission's coordinates."""
         area = self._mission.area
         north, east = home_ned_m[0], home_ned_m[1]
-        if area.latitude_deg is not None and area.longitude_deg is not None:
-            centre = GeoPoint(
-                latitude_deg=area.latitude_deg,
-                longitude_deg=area.longitude_deg,
-                altitude_m=origin.altitude_m,
-            )
+        if (centre := _area_centre(self._mission, origin.altitude_m)) is not None:
             north, east, _ = (float(v) for v in geo_to_ned(centre, origin))
         return AreaFrame(
             centre_ned_m=(north, east),
@@ -90,14 +85,14 @@ class World:
 
 def home_place(mission: Mission) -> GeoPoint:
     """Where the mock stands at first: the area's centre, if the mission says where that is."""
-    area = mission.area
-    if area.latitude_deg is None or area.longitude_deg is None:
-        return DEFAULT_PLACE
-    return GeoPoint(
-        latitude_deg=area.latitude_deg,
-        longitude_deg=area.longitude_deg,
-        altitude_m=DEFAULT_PLACE.altitude_m,
-    )
+    return _area_centre(mission, DEFAULT_PLACE.altitude_m) or DEFAULT_PLACE
+
+
+def _area_centre(mission: Mission, altitude_m: float) -> GeoPoint | None:
+    north_deg, east_deg = mission.area.latitude_deg, mission.area.longitude_deg
+    if north_deg is None or east_deg is None:
+        return None
+    return GeoPoint(latitude_deg=north_deg, longitude_deg=east_deg, altitude_m=altitude_m)
 
 
 class TruthFile:

@@ -123,9 +123,8 @@ class DrawnDetector:
             shape = self._largest_near_centre(np.asarray(patch, np.uint8))
             if shape is not None:
                 centre, traits = shape
-                centre_px = (
-                    _apply(np.asarray(np.linalg.inv(patch_from_image), np.float64), centre) / scale
-                )
+                image_from_patch = np.asarray(np.linalg.inv(patch_from_image), np.float64)
+                centre_px = _apply(image_from_patch, centre) / scale
                 found.append(Candidate(centre_px=centre_px, traits=traits))
         return found
 
