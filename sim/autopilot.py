@@ -39,8 +39,9 @@ _IDLE: Vector3 = (0.0, 0.0, 0.0)
 class Autopilot:
     """One vehicle; `step` moves it on by STEP_S of its time.
 
-    time_s: since boot; origin: of the local frame; start_ned_m: where it stands at boot, which is
-    home
+    time_s:      since boot
+    origin:      of the local frame
+    start_ned_m: where it stands at boot, which is home
     """
 
     def __init__(

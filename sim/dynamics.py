@@ -55,8 +55,10 @@ class Wind:
 class Quadrotor:
     """The body: true position, velocity, acceleration and attitude in the local NED frame.
 
-    position: [north, east, down] m; velocity: m/s; acceleration: m/s2; roll, pitch, yaw and their
-    rates in rad
+    position:         north, east, down in m
+    velocity:         m/s
+    acceleration:     m/s2
+    roll, pitch, yaw: rad; their rates rad/s
     """
 
     def __init__(self, start_ned_m: Vector3, yaw_rad: float, wind: Wind) -> None:

@@ -55,8 +55,8 @@ def parse_fault(text: str) -> Fault:
 class FaultSchedule:
     """Switches faults on and off as time goes by.
 
-    switches: of lasting kinds, called with True at the beginning and with False at the end;
-    events: of sudden kinds, called once with the fault's value
+    switches: of lasting kinds, called with True at the beginning and with False at the end
+    events:   of sudden kinds, called once with the fault's value
     """
 
     def __init__(

@@ -51,7 +51,10 @@ class _Stream:
 
 
 class MavlinkLink(asyncio.DatagramProtocol):
-    """One UDP link to `remote`; made by `open_link`. faults: kinds that are active now."""
+    """One UDP link to `remote`; made by `open_link`.
+
+    faults: kinds that are active now
+    """
 
     def __init__(self, autopilot: Autopilot, remote: tuple[str, int], faults: Set[str]) -> None:
         self._autopilot = autopilot

@@ -167,21 +167,22 @@ def _stamp(
     height_m: float,
     is_shadow: bool = False,
 ) -> None:
-    """Lay one layer of a sprite into the picture. at: north, east from the vehicle, heading."""
+    """Lay one layer of a sprite into the picture.
+
+    levels: (rows, columns, 4) BGRA, premultiplied, at each half of the resolution before
+    at:     north, east in m from the vehicle, heading in rad
+    """
     if view.height_m - height_m < _MIN_HEIGHT_M:
         return
-    homography = view.homography(height_m) @ _ground_from_sprite(levels[0].shape, at)
     rows, columns = levels[0].shape[:2]
-    corners = np.array([[0, 0, 1], [columns, 0, 1], [columns, rows, 1], [0, rows, 1]]) - 0.5
-    corners[:, 2] = 1.0
-    projected = corners @ homography.T
+    homography = view.homography(height_m) @ _ground_from_sprite(rows, columns, at)
+    corners = np.array([[0, 0, 1], [columns, 0, 1], [columns, rows, 1], [0, rows, 1]])
+    projected = (corners - [0.5, 0.5, 0.0]) @ homography.T
     if projected[:, 2].min() < _NEAREST * view.height_m:
         return  # at or behind the horizon
     points = projected[:, :2] / projected[:, 2:]
     left, top = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
-    right, bottom = np.minimum(
-        np.ceil(points.max(axis=0)).astype(int) + 1, (image.shape[1], image.shape[0])
-    )
+    right, bottom = np.minimum(np.ceil(points.max(axis=0)).astype(int) + 1, image.shape[1::-1])
     if left >= right or top >= bottom:
         return
     texels_per_px = math.sqrt(rows * columns / max(cv2.contourArea(points.astype(np.float32)), 1.0))
@@ -211,13 +212,13 @@ def _three(channel: ImageArray) -> ImageArray:
     return np.asarray(cv2.cvtColor(channel, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-def _ground_from_sprite(shape: tuple[int, ...], at: tuple[float, float, float]) -> FloatArray:
+def _ground_from_sprite(rows: int, columns: int, at: tuple[float, float, float]) -> FloatArray:
     """-> (3, 3) from (column, row, 1) of a sprite to (north, east, 1)"""
     north_m, east_m, heading_rad = at
     s, c = math.sin(heading_rad) / SPRITE_PX_PER_M, math.cos(heading_rad) / SPRITE_PX_PER_M
     turned = np.array([[c, -s, north_m], [s, c, east_m], [0.0, 0.0, 1.0]])
     centred = np.eye(3)
-    centred[:2, 2] = -0.5 * (shape[1] - 1), -0.5 * (shape[0] - 1)
+    centred[:2, 2] = -0.5 * (columns - 1), -0.5 * (rows - 1)
     moved: FloatArray = turned @ centred
     return moved
 

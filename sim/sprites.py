@@ -75,7 +75,10 @@ def _half_breadth_m(species: Species) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Canvas:
-    """A grid of real metres around an animal's centre. x, y: (rows, columns) m."""
+    """A grid of real metres around an animal's centre.
+
+    x, y: (rows, columns) m
+    """
 
     x: Field
     y: Field

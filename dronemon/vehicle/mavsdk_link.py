@@ -56,7 +56,8 @@ _Send = Callable[[], Awaitable[object]]
 class MavsdkLink:
     """A PX4 vehicle at a MAVLink URL. Implements VehicleLink.
 
-    connect_timeout_s, link_loss_timeout_s: wall time; command_timeout_s: vehicle time.
+    connect_timeout_s, link_loss_timeout_s: wall time
+    command_timeout_s:                      vehicle time
     """
 
     def __init__(

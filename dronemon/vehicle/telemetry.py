@@ -45,8 +45,9 @@ _LOST = "…"
 class Telemetry:
     """The newest state and the last poses of one vehicle.
 
-    state: everything slow; num_heartbeats: of the autopilot, so far; has_rebooted: its clock went
-    back since this was last set to False.
+    state:          everything slow
+    num_heartbeats: of the autopilot, so far
+    has_rebooted:   its clock went back since this was last set to False
     """
 
     def __init__(self) -> None:

@@ -48,7 +48,8 @@ _GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 class Candidate:
     """Something with the colours and about the size of an animal.
 
-    centre_px: (2,) u, v of the centre of its area; traits: (8,) as in Prototype.
+    centre_px: (2,) u, v of the centre of its area
+    traits:    (8,) as in Prototype
     """
 
     centre_px: FloatArray
@@ -75,8 +76,9 @@ class DrawnDetector:
         self._colour_table = _colour_table()
 
     def detect(self, image: ImageArray, pose: Pose, ground_down_m: float) -> tuple[Detection, ...]:
-        """The animals that are wholly in a picture. image: (height, width, 3) uint8 BGR
+        """The animals that are wholly in a picture.
 
+        image: (height, width, 3) uint8 BGR
         Raises CameraError if the picture's size is not the camera's.
         """
         detections = []
@@ -220,13 +222,20 @@ def _colour_table() -> NDArray[np.uint8]:
 
 
 def _lab(bgr: FloatArray | NDArray[np.int64]) -> FloatArray:
-    """CIE Lab of colours. bgr: (n, 3) 0 to 255 -> (n, 3)"""
+    """CIE Lab of colours.
+
+    bgr: (n, 3) 0 to 255
+    -> (n, 3)
+    """
     unit = np.asarray(bgr, np.float32)[:, None] / np.float32(255.0)
     return np.asarray(cv2.cvtColor(unit, cv2.COLOR_BGR2Lab)[:, 0], np.float64)
 
 
 def _square_from(corners_px: FloatArray) -> FloatArray:
-    """Homography from array indices of a picture to those of a patch. corners_px: (4, 2) u, v"""
+    """Homography from array indices of a picture to those of a patch.
+
+    corners_px: (4, 2) u, v
+    """
     patch_px = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * _PATCH_PX
     return np.asarray(
         cv2.getPerspectiveTransform(

@@ -20,10 +20,11 @@ def observe(
     appearances: Sequence[str],
     time_au: float,
 ) -> Measurement:
-    """One observation of every target. appearances: of the targets, in their order.
+    """One observation of every target.
 
     A target is seen if it was found less than SENSOR_RADIUS_AU from the vehicle, over ground; what
     the picture shows beyond does not count. Of two finds the one with the higher score holds.
+    appearances: of the targets, in their order
     Source: paper, equation 1.
     """
     agent_au = frame.ned_to_au(np.array(pose.position_ned_m))
