@@ -37,12 +37,12 @@ class Charge(IntEnum):
 class CommanderInputs:
     """What the commander needs to know at an instant."""
 
-    time_s: float
-    is_landed: bool
-    is_ready: bool
-    is_offboard_alive: bool
-    battery_level: float
-    gps_lost_s: float
+    time_s: float = 0.0
+    is_landed: bool = True
+    is_ready: bool = False
+    is_offboard_alive: bool = False
+    battery_level: float = 1.0
+    gps_lost_s: float = 0.0
 
 
 class Commander:
@@ -51,14 +51,7 @@ class Commander:
     def __init__(self, parameters: Parameters, say: Say) -> None:
         self._parameters = parameters
         self._say = say
-        self._inputs = CommanderInputs(
-            time_s=0.0,
-            is_landed=True,
-            is_ready=False,
-            is_offboard_alive=False,
-            battery_level=1.0,
-            gps_lost_s=0.0,
-        )
+        self._inputs = CommanderInputs()
         self._battery_action_since_s: float | None = None
         self._has_flown = False
         self._landed_since_s = 0.0

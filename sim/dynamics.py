@@ -59,6 +59,7 @@ class Quadrotor:
     velocity:         m/s
     acceleration:     m/s2
     roll, pitch, yaw: rad; their rates rad/s
+    thrust_m_s2:      over mass; hovering needs 9.8
     """
 
     def __init__(self, start_ned_m: Vector3, yaw_rad: float, wind: Wind) -> None:
@@ -70,17 +71,12 @@ class Quadrotor:
         self.roll = self.pitch = 0.0
         self.yaw = yaw_rad
         self.roll_rate = self.pitch_rate = self.yaw_rate = 0.0
-        self._thrust_m_s2 = 0.0
+        self.thrust_m_s2 = 0.0
 
     @property
     def is_on_ground(self) -> bool:
         """Whether the ground carries it."""
         return self.position[2] >= self._ground_down_m
-
-    @property
-    def thrust_m_s2(self) -> float:
-        """Thrust over mass; hovering needs 9.8."""
-        return self._thrust_m_s2
 
     def pose(self, time_s: float) -> Pose:
         """The true pose, stamped with `time_s`."""
@@ -119,7 +115,7 @@ class Quadrotor:
             right = cos_yaw * thrust[1] - sin_yaw * thrust[0]
             pitch = math.atan2(-forward, -thrust[2])
             roll = math.asin(right / size)
-        self._thrust_m_s2 += (size - self._thrust_m_s2) * (1.0 - math.exp(-dt_s / _THRUST_LAG_S))
+        self.thrust_m_s2 += (size - self.thrust_m_s2) * (1.0 - math.exp(-dt_s / _THRUST_LAG_S))
         self.roll_rate = _approach(roll - self.roll, self.roll_rate, dt_s)
         self.pitch_rate = _approach(pitch - self.pitch, self.pitch_rate, dt_s)
         self.roll += self.roll_rate * dt_s
@@ -130,7 +126,7 @@ class Quadrotor:
         sin_pitch, cos_pitch = math.sin(self.pitch), math.cos(self.pitch)
         sin_roll, cos_roll = math.sin(self.roll), math.cos(self.roll)
         along, across = sin_pitch * cos_roll, -sin_roll
-        push = -self._thrust_m_s2
+        push = -self.thrust_m_s2
         a_north = push * (cos_yaw * along - sin_yaw * across)
         a_east = push * (sin_yaw * along + cos_yaw * across)
         a_down = push * cos_pitch * cos_roll + GRAVITY_M_S2

@@ -45,7 +45,7 @@ STONE_COLOURS = {"stone": (138, 142, 146), "tape": (120, 140, 146)}
 STONE_SHADES = (0.75, 1.0, 1.15)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Prototype:
     """One kind of animal from above.
 
@@ -73,61 +73,14 @@ class Prototype:
         return np.concatenate([size_m, np.full(5, 0.07), [0.3 + 0.15 * self.bands]])
 
 
+# Length and width in m; shares of black, white, orange, tan, brown; bands; trunk's height in m.
 PROTOTYPES = {
-    "cow": Prototype(
-        length_m=2.19,
-        width_m=0.78,
-        coat=(0.41, 0.59, 0.00, 0.00, 0.00),
-        bands=3.5,
-        trunk_height_m=0.91,
-    ),
-    "deer": Prototype(
-        length_m=1.79,
-        width_m=0.46,
-        coat=(0.00, 0.13, 0.00, 0.87, 0.00),
-        bands=1.6,
-        trunk_height_m=0.65,
-    ),
-    "fox": Prototype(
-        length_m=1.35,
-        width_m=0.33,
-        coat=(0.00, 0.10, 0.61, 0.26, 0.03),
-        bands=1.6,
-        trunk_height_m=0.29,
-    ),
-    "horse": Prototype(
-        length_m=2.45,
-        width_m=0.65,
-        coat=(0.05, 0.00, 0.00, 0.01, 0.94),
-        bands=1.4,
-        trunk_height_m=1.00,
-    ),
-    "panda": Prototype(
-        length_m=1.75,
-        width_m=0.93,
-        coat=(0.31, 0.69, 0.00, 0.00, 0.00),
-        bands=2.4,
-        trunk_height_m=0.49,
-    ),
-    "sheep": Prototype(
-        length_m=1.38,
-        width_m=0.60,
-        coat=(0.07, 0.93, 0.00, 0.00, 0.00),
-        bands=1.3,
-        trunk_height_m=0.52,
-    ),
-    "tiger": Prototype(
-        length_m=2.32,
-        width_m=0.72,
-        coat=(0.00, 0.00, 0.61, 0.38, 0.01),
-        bands=6.0,
-        trunk_height_m=0.62,
-    ),
-    "zebra": Prototype(
-        length_m=2.15,
-        width_m=0.58,
-        coat=(0.41, 0.59, 0.00, 0.00, 0.00),
-        bands=10.9,
-        trunk_height_m=0.88,
-    ),
+    "cow": Prototype(2.19, 0.78, (0.41, 0.59, 0.00, 0.00, 0.00), 3.5, 0.91),
+    "deer": Prototype(1.79, 0.46, (0.00, 0.13, 0.00, 0.87, 0.00), 1.6, 0.65),
+    "fox": Prototype(1.35, 0.33, (0.00, 0.10, 0.61, 0.26, 0.03), 1.6, 0.29),
+    "horse": Prototype(2.45, 0.65, (0.05, 0.00, 0.00, 0.01, 0.94), 1.4, 1.00),
+    "panda": Prototype(1.75, 0.93, (0.31, 0.69, 0.00, 0.00, 0.00), 2.4, 0.49),
+    "sheep": Prototype(1.38, 0.60, (0.07, 0.93, 0.00, 0.00, 0.00), 1.3, 0.52),
+    "tiger": Prototype(2.32, 0.72, (0.00, 0.00, 0.61, 0.38, 0.01), 6.0, 0.62),
+    "zebra": Prototype(2.15, 0.58, (0.41, 0.59, 0.00, 0.00, 0.00), 10.9, 0.88),
 }
