@@ -17,11 +17,14 @@ from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
 from mavsdk.asyncio.plugins.offboard import OffboardAsync, PositionNedYaw, VelocityNedYaw
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from pymavlink.dialects.v20 import common as mavlink
 from simulated_vehicle import StartMockVehicle, free_udp_port
 
+from sim.modes import Px4Mode
+
 SPEED_UP = 20.0
-OFFBOARD, LOITER, RTL = 6 << 16, 4 << 16 | 3 << 24, 4 << 16 | 5 << 24
-ARMED = 128
+OFFBOARD, LOITER, RTL = Px4Mode.OFFBOARD, Px4Mode.LOITER, Px4Mode.RTL
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
 class Pilot:
