@@ -30,53 +30,62 @@ INTERRUPTED = 130
 """Exit code of a run that was told to stop, as a shell's for Ctrl-C."""
 
 
+OutOption = Annotated[
+    Path,
+    typer.Option(
+        help="Folder for results, tables and figures. A run there goes on; "
+        "take another folder after changing code.",
+        show_default=False,
+    ),
+]
+PlannersOption = Annotated[
+    str, typer.Option(help="Planners, separated by commas; a learned one as name:checkpoint.")
+]
+TargetsOption = Annotated[
+    str | None, typer.Option(help="Numbers of targets, such as 4,8.", show_default="4")
+]
+SpeedsOption = Annotated[
+    str | None,
+    typer.Option(help="Targets' speed over the agent's, such as 1/10,1/7.", show_default="1/10"),
+]
+PriorsOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Known at the start: full (positions), number (of targets) or none.",
+        show_default="full",
+    ),
+]
+InstancesOption = Annotated[
+    int | None,
+    typer.Option(
+        help="Instances per cell; one seed is one instance.", show_default="16; 100 with --table1"
+    ),
+]
+FirstSeedOption = Annotated[int, typer.Option(help="Seed of the first instance.")]
+Table1Option = Annotated[
+    bool, typer.Option("--table1", help="All 16 cells of the paper's Table I.")
+]
+HorizonOption = Annotated[float, typer.Option(help="Distance flown per episode, in au.")]
+NodesOption = Annotated[int, typer.Option(help="Nodes of the roadmap.")]
+SaveOption = Annotated[
+    bool, typer.Option("--save-episodes", help="Keep the arrays of every episode.")
+]
+WorkersOption = Annotated[int | None, typer.Option(help="Processes.", show_default="one per core")]
+
+
 def evaluate_command(
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="Folder for results, tables and figures. A run there goes on; "
-            "take another folder after changing code.",
-            show_default=False,
-        ),
-    ],
-    planner: Annotated[
-        str, typer.Option(help="Planners, separated by commas; a learned one as name:checkpoint.")
-    ] = "tsp,lawnmower",
-    targets: Annotated[
-        str | None, typer.Option(help="Numbers of targets, such as 4,8.", show_default="4")
-    ] = None,
-    speed: Annotated[
-        str | None,
-        typer.Option(
-            help="Targets' speed over the agent's, such as 1/10,1/7.", show_default="1/10"
-        ),
-    ] = None,
-    prior: Annotated[
-        str | None,
-        typer.Option(
-            help="Known at the start: full (positions), number (of targets) or none.",
-            show_default="full",
-        ),
-    ] = None,
-    instances: Annotated[
-        int | None,
-        typer.Option(
-            help="Instances per cell; one seed is one instance.",
-            show_default="16; 100 with --table1",
-        ),
-    ] = None,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first instance.")] = 0,
-    table1: Annotated[
-        bool, typer.Option("--table1", help="All 16 cells of the paper's Table I.")
-    ] = False,
-    horizon: Annotated[float, typer.Option(help="Distance flown per episode, in au.")] = 30.0,
-    nodes: Annotated[int, typer.Option(help="Nodes of the roadmap.")] = 200,
-    save_episodes: Annotated[
-        bool, typer.Option("--save-episodes", help="Keep the arrays of every episode.")
-    ] = False,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes.", show_default="one per core")
-    ] = None,
+    out: OutOption,
+    planner: PlannersOption = "tsp,lawnmower",
+    targets: TargetsOption = None,
+    speed: SpeedsOption = None,
+    prior: PriorsOption = None,
+    instances: InstancesOption = None,
+    first_seed: FirstSeedOption = 0,
+    table1: Table1Option = False,
+    horizon: HorizonOption = 30.0,
+    nodes: NodesOption = 200,
+    save_episodes: SaveOption = False,
+    workers: WorkersOption = None,
 ) -> None:
     """Measure planners on simulated instances, and compare them with the paper's figures."""
     if table1 and (targets, speed, prior) != (None, None, None):
@@ -97,20 +106,25 @@ def evaluate_command(
         save_episodes=save_episodes,
         workers=workers if workers is not None else num_cores(),
     )
+    _evaluate(options)
+
+
+def _evaluate(options: Options) -> None:
+    """Run an evaluation, and say where its results lie or how it goes on."""
     console = Console()
     try:
         with _sigterm_as_ctrl_c():
             evaluate(options, console)
     except KeyboardInterrupt:
         Console(stderr=True).print(
-            f"stopped; finished episodes are in {out}, and the same command goes on from there",
+            f"stopped; finished episodes are in {options.out}, and the same command goes on from"
+            " there",
             soft_wrap=True,
             markup=False,
         )
         raise typer.Exit(INTERRUPTED) from None
-    console.print(
-        f"{out / 'table.md'}: tables; figures and results beside it", soft_wrap=True, markup=False
-    )
+    table = options.out / "table.md"
+    console.print(f"{table}: tables; figures and results beside it", soft_wrap=True, markup=False)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from dronemon.evaluation.options import Cell
@@ -32,8 +33,6 @@ from dronemon.evaluation.tables import (
 
 DIGITS = {"min_ob": 2}
 """Digits after the point of a figure; 3 for others."""
-
-
 UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
 
 
@@ -42,8 +41,8 @@ def write_tables(
 ) -> list[str]:
     """Write table.csv, paired.csv and table.md into a folder; `command` made the results.
 
-    is_as_published: the episodes are as long, on as many nodes, as the paper's, so that its figures
-    stand beside them. -> what follows from that comparison, a line each.
+    is_as_published: episodes are as long, on as many nodes, as the paper's; its figures are added
+    -> what follows from that comparison, a line each
     """
     rows = average_by_cell(results)
     cells = {row.cell for row in rows}
@@ -77,16 +76,7 @@ def write_tables(
 
 def _renamed(published: Iterable[Row]) -> list[Row]:
     """Published rows under names that cannot be mistaken for ours."""
-    return [
-        Row(
-            cell=row.cell,
-            method=_paper_name(row.method),
-            instances=row.instances,
-            figures=row.figures,
-            decision_s=row.decision_s,
-        )
-        for row in published
-    ]
+    return [replace(row, method=_paper_name(row.method)) for row in published]
 
 
 def _paper_name(method: str) -> str:

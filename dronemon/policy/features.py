@@ -186,14 +186,9 @@ class Segment:
 
     def select(self, episodes: Tensor) -> Segment:
         """Some of the episodes. episodes: (b,) int64."""
-        return Segment(
-            graphs=self.graphs.select(episodes),
-            frames=self.frames[episodes],
-            target_mask=self.target_mask[episodes],
-            flown=self.flown[episodes],
-            nodes=self.nodes[episodes],
-            tracks=self.tracks[episodes],
-        )
+        tensors = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "graphs"}
+        chosen = {name: tensor[episodes] for name, tensor in tensors.items()}
+        return Segment(graphs=self.graphs.select(episodes), **chosen)
 
     def to(self, device: torch.device) -> Segment:
         """The same episodes on another device, in float32."""

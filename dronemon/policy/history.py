@@ -54,12 +54,7 @@ class History:
 
     @torch.no_grad()
     def decide(
-        self,
-        frame: Tensor,
-        target_mask: Tensor,
-        length_au: Tensor,
-        current: Tensor,
-        tracks: Tensor,
+        self, frame: Tensor, target_mask: Tensor, length_au: Tensor, current: Tensor, tracks: Tensor
     ) -> Verdict:
         """Take in the newest frame and judge the agent's next step.
 

@@ -39,10 +39,7 @@ class Scope:
         return sentences
 
     def __str__(self) -> str:
-        ranges = (
-            (self.num_targets, "targets"),
-            (self.num_nodes, "nodes"),
-            (self.speed_ratio, "times the agent's speed"),
-        )
-        parts = [f"{low:g} to {high:g} {what}" for (low, high), what in ranges]
-        return ", ".join([*parts, f"prior {' or '.join(self.priors)}"])
+        ranges = self.num_targets, self.num_nodes, self.speed_ratio
+        targets, nodes, speed = (f"{low:g} to {high:g}" for low, high in ranges)
+        known = " or ".join(self.priors)
+        return f"{targets} targets, {nodes} nodes, {speed} times the agent's speed, prior {known}"

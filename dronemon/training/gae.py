@@ -14,9 +14,10 @@ def advantages(
 ) -> Tensor:
     """How much better each decision turned out than the value before it.
 
-    rewards: (B, L); values: (B, L + 1), the last being of the state after the last decision, which
-    counts unless that decision terminated its episode; terminated: (B, L) bool, true where a
-    decision ended its episode and the next begins a new one -> (B, L).
+    rewards:    (B, L)
+    values:     (B, L + 1)  the last, after the last decision, counts unless that one terminated
+    terminated: (B, L) bool true where a decision ended its episode and the next begins a new one
+    -> (B, L)
     """
     # Differs from STAMP: what ends at decision i cuts the recursion at i; the release looks at i+1.
     goes_on = (~terminated).to(values.dtype)

@@ -37,8 +37,8 @@ Two of half the effort each repeat their own best choice in 69 % of decisions, o
 class Lesson:
     """A rollout and what the teacher thought of it.
 
-    rollout: the episodes, with frames in float16 to save room; gains: (B, L, k) float32 by way of
-    each neighbour, -inf where there is none
+    rollout: the episodes, with frames in float16 to save room
+    gains:   (B, L, k) float32 by way of each neighbour, -inf where there is none
     """
 
     rollout: Rollout
@@ -115,9 +115,8 @@ class Teacher:
             for p in self._planners
         ]
         gains = torch.full((num_columns,), -torch.inf)
-        gains[torch.as_tensor(self._roadmap.is_move[node]).nonzero()[:, 0]] = torch.stack(
-            found
-        ).mean(0)
+        columns = torch.as_tensor(self._roadmap.is_move[node]).nonzero()[:, 0]
+        gains[columns] = torch.stack(found).mean(0)
         return gains
 
 
@@ -134,8 +133,8 @@ def teach(
 ) -> Lesson:
     """Play one episode per setup and have each scored.
 
-    is_taught: the teacher flies, not the student; is_greedy: the student flies as it would in a
-    mission, not by its policy's probabilities
+    is_taught: the teacher flies, not the student
+    is_greedy: the student flies as it would in a mission, not by its policy's probabilities
     """
     teachers = [Teacher(setup, settings) for setup in setups]
     taught, greedy = torch.tensor(is_taught), torch.tensor(is_greedy)
@@ -152,13 +151,9 @@ def teach(
         own = torch.where(greedy, logits.argmax(-1), sampled)
         return torch.where(taught, gains[-1].argmax(-1), own)
 
+    env = Env(max_decisions=num_decisions + 1, num_neighbours=NUM_NEIGHBOURS)
     rollout = play(
-        network,
-        Env(max_decisions=num_decisions + 1, num_neighbours=NUM_NEIGHBOURS),
-        setups,
-        history=history,
-        num_decisions=num_decisions,
-        choose=choose,
+        network, env, setups, history=history, num_decisions=num_decisions, choose=choose
     )
     segment = replace(rollout.segment, frames=rollout.segment.frames.half())
     return Lesson(rollout=replace(rollout, segment=segment), gains=torch.stack(gains, dim=1))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from dronemon.env import Env, Observation, Setup
-from dronemon.policy import History, PolicyNetwork, Segment, Verdict
+from dronemon.policy import Graphs, History, PolicyNetwork, Segment, Verdict
 
 Chooser = Callable[[Verdict, Observation], Tensor]
 """Picks neighbours: the network's verdict and what is observed -> (B,) columns of `neighbours`."""
@@ -19,10 +19,14 @@ Chooser = Callable[[Verdict, Observation], Tensor]
 class Rollout:
     """B episodes of L decisions each, from their start.
 
-    history: T, the frames each decision saw; segment: what the network saw; actions: (B, L) column
-    of the neighbour chosen; logits: (B, L, k) when it was; values: (B, L + 1), the last after the
-    last decision; rewards: (B, L) as the environment gives them; area_std: (B, L, N) around each
-    target after each decision, NaN where there is none; legs_au: (B, L) length of each leg
+    history:  T, the frames each decision saw
+    segment:  what the network saw
+    actions:  (B, L)     column of the neighbour chosen
+    logits:   (B, L, k)  when it was
+    values:   (B, L + 1) the last one after the last decision
+    rewards:  (B, L)     as the environment gives them
+    area_std: (B, L, N)  around each target after each decision, NaN where there is none
+    legs_au:  (B, L)     length of each leg
     """
 
     history: int
@@ -70,14 +74,7 @@ def play(
     last = _judge(memory, observation)
     return Rollout(
         history=history,
-        segment=Segment.of(
-            graphs,
-            torch.stack([o.frames for o in seen], dim=1),
-            seen[-1].target_mask,
-            lengths_au[:, :-1],
-            torch.stack([o.node for o in seen], dim=1),
-            torch.stack([o.tracks for o in seen], dim=1),
-        ),
+        segment=_segment(graphs, seen, lengths_au[:, :-1]),
         actions=torch.stack(actions, dim=1),
         logits=torch.cat([v.logits for v in verdicts], dim=1),
         values=torch.cat([v.value for v in [*verdicts, last]], dim=1),
@@ -85,6 +82,15 @@ def play(
         area_std=torch.stack(area_std, dim=1).float(),
         legs_au=lengths_au.diff(dim=1).float(),
     )
+
+
+def _segment(graphs: Graphs, seen: Sequence[Observation], lengths_au: Tensor) -> Segment:
+    """What the network saw; the last observation knows every target that any did."""
+    frames, nodes, tracks = (
+        torch.stack(values, dim=1)
+        for values in zip(*((o.frames, o.node, o.tracks) for o in seen), strict=True)
+    )
+    return Segment.of(graphs, frames, seen[-1].target_mask, lengths_au, nodes, tracks)
 
 
 def sampled(rng: torch.Generator) -> Chooser:
