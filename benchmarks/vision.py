@@ -19,9 +19,8 @@ import cv2
 import numpy as np
 
 from dronemon.frames import AreaFrame, ground_to_pixel, pixel_to_ground
-from dronemon.mission.schema import APPEARANCES
 from dronemon.problem import SENSOR_RADIUS_AU
-from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
+from dronemon.types import APPEARANCES, CameraModel, Detection, FloatArray, ImageArray, Pose
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.prototypes import ENLARGEMENT
 from sim.camera import encode

@@ -7,8 +7,8 @@ from functools import cache
 
 from dronemon.errors import OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission
+from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.document import Overrides, Problem
-from dronemon.mission.schema import mavlink_url_problem
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
 from dronemon.vision.prototypes import NEEDED_PX_PER_M

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 ImageArray = NDArray[np.uint8]
 Vector3 = tuple[float, float, float]
+Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
+"""Animals that the simulator draws and the drawn detector tells apart."""
+APPEARANCES: tuple[str, ...] = get_args(Appearance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 
 from dronemon.frames import AreaFrame
-from dronemon.mission.schema import APPEARANCES
-from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
+from dronemon.types import APPEARANCES, CameraModel, FloatArray, ImageArray, Pose
 from sim.ground_texture import TEXEL_M, TILE_M, draw_ground, pyramid
 from sim.scene import Animal, Scene
 from sim.sprites import NUM_PHASES, SPRITE_PX_PER_M, draw_sprites, stride_m

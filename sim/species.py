@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dronemon.mission.schema import APPEARANCES
+from dronemon.types import APPEARANCES
 
 Field = NDArray[np.floating]
 """One value for every pixel of a drawing."""

@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+from dronemon.mission.addresses import is_video_file
 from dronemon.mission.document import Problem
-from dronemon.mission.schema import Mission, is_video_file
+from dronemon.mission.schema import Mission
 
 _CLIMB_M_S = 1.5  # cautious rates for the estimate of flight time
 _DESCENT_M_S = 0.7

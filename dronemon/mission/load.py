@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from dronemon.errors import MissionFileError
+from dronemon.mission.addresses import is_video_file
 from dronemon.mission.checks import mission_problems
 from dronemon.mission.document import Document, KeyPath, Overrides, Problem
-from dronemon.mission.schema import Mission, is_video_file
+from dronemon.mission.schema import Mission
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

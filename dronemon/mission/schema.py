@@ -7,23 +7,17 @@ one flight and, for the mock, one world.
 from __future__ import annotations
 
 import math
-import re
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.problem import LENGTH_SCALE_AU, SENSOR_RADIUS_AU, TIME_SCALE_AU
-from dronemon.types import CameraModel
+from dronemon.types import APPEARANCES, Appearance, CameraModel
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
-APPEARANCES = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
-"""Animals that the built-in detector tells apart."""
-Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
-
 _GRAVITY_M_S2 = 9.81
-_NETWORK_SCHEMES = ("udpin", "udpout", "tcpin", "tcpout")
-_SERIAL_EXAMPLE = "serial:///dev/ttyACM0:57600"
 
 
 class Section(BaseModel):
@@ -317,29 +311,3 @@ class Mission(Section):
         if half_angle_rad <= self.flight.bank_rad:
             return math.inf
         return self.sensor_radius_m / math.tan(half_angle_rad - self.flight.bank_rad)
-
-
-def mavlink_url_problem(url: str) -> str | None:
-    """Say why a URL names no MAVLink connection, if so, with one of the right form."""
-    scheme, separator, rest = url.partition("://")
-    match = re.fullmatch(r"([^\s:/]+):(\d+)", rest)
-    if not separator or scheme not in (*_NETWORK_SCHEMES, "serial"):
-        guess = {"udp": "udpin", "tcp": "tcpout"}.get(scheme, "udpin")
-        rest = rest if match else "127.0.0.1:14540"
-        return (
-            f"{url!r} is not of the form udpin://IP:PORT (also udpout, tcpin, tcpout) or "
-            f"serial://DEVICE:BAUD; did you mean {guess}://{rest}?"
-        )
-    if scheme == "serial":
-        is_right = re.fullmatch(r"[^\s:]+(:\d+)?", rest) is not None
-        return None if is_right else f"{url!r} is not serial://DEVICE:BAUD, as in {_SERIAL_EXAMPLE}"
-    if match is None:
-        return f"{url!r} is not {scheme}://IP:PORT, such as {scheme}://127.0.0.1:14540"
-    if not 0 < int(match[2]) < 65536:
-        return f"the port of {url!r} is {match[2]}, not 1 to 65535"
-    return None
-
-
-def is_video_file(camera_url: str) -> bool:
-    """Whether pictures come from a file: neither the simulator, a camera's number nor a stream."""
-    return camera_url != "simulated" and not camera_url.isdigit() and "://" not in camera_url

@@ -8,8 +8,8 @@ import inspect
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.metadata import entry_points
+from operator import attrgetter
 from pathlib import Path
 
 from dronemon.errors import OptionError
@@ -17,90 +17,60 @@ from dronemon.planner.lawnmower import Lawnmower
 from dronemon.planner.planner import Planner
 from dronemon.planner.tsp import CarriedOn, ClairvoyantTspLoop, LastSeen, Predicted, TspLoop
 
-# What is slow to import is imported where it is made: most runs need one planner.
-
 ENTRY_POINTS = "dronemon.planners"
 """Group of entry points by which other packages bring planners."""
 CLASS_PATTERN = r"^([A-Za-z_][\w.]*):([A-Za-z_]\w*)$"
 """What names a planner's class: package.module:Class."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
-    """A planner that comes with the package.
+def _later(module: str, maker: str) -> Callable[..., Planner]:
+    """Makes a planner of a module beside this one that is slow to import: most runs need one."""
 
-    about:       one line of what it is
-    make:        makes it; one with weights from a checkpoint's name, the shipped one for None
-    has_weights: whether it is made from a checkpoint
-    is_bound:    whether it must be told the future, and so cannot fly
-    """
+    def make(*arguments: str | None) -> Planner:
+        imported = importlib.import_module(f"dronemon.planner.{module}")
+        planner: Planner = attrgetter(maker)(imported)(*arguments)
+        return planner
 
-    about: str
-    make: Callable[..., Planner]
-    has_weights: bool = False
-    is_bound: bool = False
+    return make
 
 
-def _learned(checkpoint: str | None) -> Planner:
-    from dronemon.planner.learned import LearnedPlanner
-
-    return LearnedPlanner.load(checkpoint)
-
-
-def _search() -> Planner:
-    from dronemon.planner.search import SearchPlanner
-
-    return SearchPlanner()
-
-
-def _roadmap_search() -> Planner:
-    from dronemon.planner.search import RoadmapSearchPlanner
-
-    return RoadmapSearchPlanner()
-
-
-def _clairvoyant_search() -> Planner:
-    from dronemon.planner.search import ClairvoyantSearchPlanner
-
-    return ClairvoyantSearchPlanner()
-
-
-_SHIPPED = {
-    "clairvoyant": Entry(
-        about="tsp, told where targets will be: a bound for `dronemon evaluate`",
-        make=ClairvoyantTspLoop,
-        is_bound=True,
+_SHIPPED: dict[str, tuple[str, Callable[..., Planner]]] = {
+    "clairvoyant": ("tsp, told where targets will be", ClairvoyantTspLoop),
+    "clairvoyant-search": (
+        "search, told where targets will be",
+        _later("search", "ClairvoyantSearchPlanner"),
     ),
-    "clairvoyant-search": Entry(
-        about="search, told where targets will be: a bound for `dronemon evaluate`",
-        make=_clairvoyant_search,
-        is_bound=True,
+    "lawnmower": ("parallel lanes over the whole area, blind to what is seen", Lawnmower),
+    "search": (
+        "tries paths ahead on samples of where targets may be; the default",
+        _later("search", "SearchPlanner"),
     ),
-    "lawnmower": Entry(
-        about="parallel lanes over the whole area, blind to what is seen", make=Lawnmower
+    "search-roadmap": (
+        "search along the edges of the roadmap",
+        _later("search", "RoadmapSearchPlanner"),
     ),
-    "search": Entry(
-        about="tries paths ahead on samples of where targets may be; the default", make=_search
+    "stamp": (
+        "attention network over the roadmap; flies trained weights",
+        _later("learned", "LearnedPlanner.load"),
     ),
-    "search-roadmap": Entry(about="search along the edges of the roadmap", make=_roadmap_search),
-    "stamp": Entry(
-        about="attention network over the roadmap; flies trained weights",
-        make=_learned,
-        has_weights=True,
+    "tsp": (
+        "shortest loop over where targets were last seen; the paper's baseline",
+        lambda: TspLoop("tsp", LastSeen()),
     ),
-    "tsp": Entry(
-        about="shortest loop over where targets were last seen; the paper's baseline",
-        make=lambda: TspLoop("tsp", LastSeen()),
+    "tsp-heading": (
+        "tsp, with targets carried on along their headings",
+        lambda: TspLoop("tsp-heading", CarriedOn()),
     ),
-    "tsp-heading": Entry(
-        about="tsp, with targets carried on along their headings",
-        make=lambda: TspLoop("tsp-heading", CarriedOn()),
-    ),
-    "tsp-predicted": Entry(
-        about="tsp over the peaks of the belief a little later",
-        make=lambda: TspLoop("tsp-predicted", Predicted()),
+    "tsp-predicted": (
+        "tsp over the peaks of the belief a little later",
+        lambda: TspLoop("tsp-predicted", Predicted()),
     ),
 }
+"""Name -> one line of what the planner is, and what makes it."""
+_LEARNED = {"stamp"}
+"""Made from a checkpoint's path or name, the shipped one for None."""
+_BOUNDS = {"clairvoyant", "clairvoyant-search"}
+"""Bounds for `dronemon evaluate`, which must be told the future."""
 
 
 def planner_names() -> tuple[str, ...]:
@@ -110,12 +80,12 @@ def planner_names() -> tuple[str, ...]:
 
 def has_weights(kind: str) -> bool:
     """Whether planners of this name are made from a checkpoint."""
-    return kind in _SHIPPED and _SHIPPED[kind].has_weights
+    return kind in _LEARNED
 
 
 def is_bound(kind: str) -> bool:
     """Whether planners of this name must be told the future, and so cannot fly."""
-    return kind in _SHIPPED and _SHIPPED[kind].is_bound
+    return kind in _BOUNDS
 
 
 def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
@@ -128,11 +98,11 @@ def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
     weights; PolicyError for a checkpoint that cannot be used.
     """
     if has_weights(kind):
-        return _SHIPPED[kind].make(checkpoint)
+        return _SHIPPED[kind][1](checkpoint)
     if checkpoint is not None:
         raise OptionError(f"planner {kind!r} has no weights, but checkpoint {checkpoint} was given")
     if kind in _SHIPPED:
-        return _SHIPPED[kind].make()
+        return _SHIPPED[kind][1]()
     if ":" in kind:
         return _make_outside(kind)
     brought = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
@@ -148,7 +118,7 @@ def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
 
 def describe_planners() -> dict[str, str]:
     """Name -> one line of what it is, entry points included."""
-    told = {kind: entry.about for kind, entry in sorted(_SHIPPED.items())}
+    told = {kind: about for kind, (about, _) in sorted(_SHIPPED.items())}
     for point in entry_points(group=ENTRY_POINTS):
         try:
             about = (inspect.getdoc(_find_class(point.value)) or "").split("\n")[0]
@@ -167,19 +137,10 @@ def _make_outside(path: str) -> Planner:
         raise OptionError(
             f"planner {path!r} cannot be made by calling it without arguments: {exc!r}"
         ) from exc
-    missing = [
-        what
-        for what, is_there in {
-            "name": isinstance(getattr(planner, "name", None), str),
-            "reset(briefing, roadmap)": callable(getattr(planner, "reset", None)),
-            "next_waypoint(snapshot)": callable(getattr(planner, "next_waypoint", None)),
-        }.items()
-        if not is_there
-    ]
-    if missing:
+    if missing := [m for m in ("name", "reset", "next_waypoint") if not hasattr(planner, m)]:
         raise OptionError(
             f"planner {path!r} has no {' and no '.join(missing)}; "
-            "dronemon.planner.Planner says what a planner gives"
+            "docs/your-own-planner.md shows what a planner gives"
         )
     return planner
 

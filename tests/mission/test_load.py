@@ -8,7 +8,7 @@ import pytest
 
 from dronemon.errors import MissionFileError
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
-from dronemon.mission.schema import mavlink_url_problem
+from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.template import mission_template
 
 ROOT = Path(__file__).parents[2]

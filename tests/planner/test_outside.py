@@ -62,7 +62,7 @@ def test_the_page_shows_one_of_each_command() -> None:
         ("broken_planner:Any", "nothing_of_this_name"),
         ("wrong_planners:number", "its classes are: Silent, Demanding"),
         ("wrong_planners:Demanding", "without arguments"),
-        ("wrong_planners:Silent", "has no next_waypoint(snapshot)"),
+        ("wrong_planners:Silent", "has no next_waypoint"),
     ],
 )
 def test_what_is_wrong_with_a_planner_is_explained(folder: Path, path: str, words: str) -> None:

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from dronemon.frames import AreaFrame, ground_to_pixel, pixel_to_ground
-from dronemon.mission.schema import APPEARANCES
-from dronemon.types import CameraModel, Pose
+from dronemon.types import APPEARANCES, CameraModel, Pose
 from sim.camera import CameraServer
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene

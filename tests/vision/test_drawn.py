@@ -8,8 +8,7 @@ import pytest
 
 from dronemon.errors import CameraError
 from dronemon.frames import AreaFrame, pixel_to_ground
-from dronemon.mission.schema import APPEARANCES
-from dronemon.types import CameraModel, Pose
+from dronemon.types import APPEARANCES, CameraModel, Pose
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.prototypes import ENLARGEMENT
 from sim.renderer import Renderer

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from dronemon.frames import AreaFrame, ground_to_pixel
-from dronemon.mission.schema import APPEARANCES
-from dronemon.types import CameraModel, Detection, Pose
+from dronemon.types import APPEARANCES, CameraModel, Detection, Pose
 from dronemon.vision import observe
 from dronemon.vision.drawn import DrawnDetector
 from sim.renderer import Renderer
