@@ -39,7 +39,10 @@ OutOption = Annotated[
     ),
 ]
 PlannersOption = Annotated[
-    str, typer.Option(help="Planners, separated by commas; a learned one as name:checkpoint.")
+    str,
+    typer.Option(
+        help="Planners, separated by commas: names, name:checkpoint, package.module:Class."
+    ),
 ]
 TargetsOption = Annotated[
     str | None, typer.Option(help="Numbers of targets, such as 4,8.", show_default="4")

@@ -35,9 +35,9 @@ def _later(module: str, maker: str) -> Callable[..., Planner]:
 
 
 _SHIPPED: dict[str, tuple[str, Callable[..., Planner]]] = {
-    "clairvoyant": ("tsp, told where targets will be", ClairvoyantTspLoop),
+    "clairvoyant": ("tsp, told where targets will be: a bound, never flown", ClairvoyantTspLoop),
     "clairvoyant-search": (
-        "search, told where targets will be",
+        "search, told where targets will be: a bound, never flown",
         _later("search", "ClairvoyantSearchPlanner"),
     ),
     "lawnmower": ("parallel lanes over the whole area, blind to what is seen", Lawnmower),
