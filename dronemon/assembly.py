@@ -12,11 +12,19 @@ import numpy as np
 import yaml
 
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
+from dronemon.events import TruthTold
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
 from dronemon.preflight import make_planner
-from dronemon.recorder import RunRecorder
-from dronemon.runner import FlightResult, Interrupts, fly, mission_kernel, rehearse
+from dronemon.recorder import SIMULATOR_LOG, TRUTH_FILE, RunRecorder
+from dronemon.runner import (
+    FlightResult,
+    FlightSetup,
+    Interrupts,
+    fly_mission,
+    mission_kernel,
+    rehearse,
+)
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, read_truth, simulator
 from dronemon.terminal import FlightDisplay, console
@@ -52,7 +60,10 @@ async def assemble_and_fly(
                 file, planner, follow, recorder, _interrupts()
             )
         except BaseException as exc:
-            recorder.finish("failed", {"error": str(exc) or repr(exc)})
+            if recorder.is_empty and SIMULATOR_LOG not in str(exc):  # else one is sent there
+                recorder.discard()
+            else:
+                recorder.finish("failed", {"error": str(exc) or repr(exc)})
             raise
         summary = summarise(
             result,
@@ -62,7 +73,7 @@ async def assemble_and_fly(
             target_names=names,
             kernel=mission_kernel(mission),
         )
-        recorder.finish(result.outcome, summary)
+        recorder.finish(result.outcome, summary.as_json())
     return result, summary
 
 
@@ -96,8 +107,8 @@ async def _with_everything(
                     sim = await stack.enter_async_context(
                         simulator(
                             folder.path / "mission.yaml",
-                            truth=folder.path / "truth.jsonl",
-                            log=folder.path / "simulator.log",
+                            truth=folder.path / TRUTH_FILE,
+                            log=folder.path / SIMULATOR_LOG,
                             follow=follow,
                         )
                     )
@@ -120,21 +131,22 @@ async def _with_everything(
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
         link = await stack.enter_async_context(_link(mission, sim))
-        result = await fly(
-            file,
-            link=link,
-            camera=_camera(mission, sim, link),
-            detector=detector,
-            planner=planner,
-            priors_au=priors_au,
-            recorder=recorder,
-            view=view,
-            interrupts=interrupts,
-            audience=display,
+        result = await fly_mission(
+            FlightSetup(
+                file=file,
+                link=link,
+                camera=_camera(mission, sim, link),
+                detector=detector,
+                planner=planner,
+                priors_au=priors_au,
+                record=recorder,
+                watchers=(view, display),
+                interrupts=interrupts,
+            )
         )
         truth = read_truth(sim.truth) if sim else {}
         for time_s, targets_au in truth.items():
-            view.truth(time_s, targets_au)
+            view.take(TruthTold(time_s=time_s, targets_au=targets_au))
     return result, truth, priors_au
 
 

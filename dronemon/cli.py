@@ -22,7 +22,13 @@ from dronemon.mission.checks import outbound_min, usable_min
 from dronemon.planner.registry import CLASS_PATTERN, describe_planners, is_bound
 from dronemon.preflight import doubts, load_checked, px_per_m
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.terminal import console, facts_table, print_error, print_warning
+from dronemon.terminal import (
+    console,
+    facts_table,
+    print_error,
+    print_warning,
+    write_in_any_encoding,
+)
 from dronemon.vision.prototypes import NEEDED_PX_PER_M
 
 # What is slow to import (torch, numba, MAVSDK, OpenCV, Rerun, asyncio) is imported by the command
@@ -85,6 +91,7 @@ _OVERRIDES = {
 
 def main() -> None:
     """Run the command line; a DronemonError becomes its message and its exit code."""
+    write_in_any_encoding()
     try:
         app()
     except DronemonError as exc:
@@ -123,9 +130,9 @@ def fly_command(
     from dronemon.runner.summary import facts
 
     result, summary = asyncio.run(assemble_and_fly(checked, follow, out))
-    console.print(facts_table(checked.mission.name, facts(result.outcome, summary)))
-    if result.error is not None:
-        raise result.error
+    console.print(facts_table(checked.mission.name, facts(summary)))
+    if result.error is not None:  # told when it happened
+        raise typer.Exit(result.error.exit_code)
     if not result.is_landed:
         raise VehicleError("the drone is still armed, and the pilot's")
     raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else 0)

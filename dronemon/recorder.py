@@ -22,7 +22,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from dronemon.errors import RecordError
-from dronemon.types import FloatArray, Measurement
+from dronemon.events import Decided, Event, Measured, Noted
 
 MISSION_FILE = "mission.yaml"
 OBSERVATIONS_FILE = "observations.jsonl"
@@ -46,6 +46,8 @@ RUN_FILES = (
     RRD_FILE,
     SUMMARY_FILE,
 )
+TRUTH_FILE, SIMULATOR_LOG = OTHER_FILES = ("truth.jsonl", "simulator.log")
+"""What a simulator writes beside them."""
 IN_FLIGHT = "in flight"
 NEEDED_BYTES = 100_000_000
 """Free space asked for before a flight; one with 300 pictures takes less than half of it."""
@@ -105,61 +107,52 @@ class RunRecorder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def observation(self, *, time_s: float, measurement: Measurement, score: FloatArray) -> None:
-        """Record one measurement of all targets.
+    def take(self, event: Event) -> None:
+        """Record what the folder has a line for. Raises RecordError the first time it cannot."""
+        match event:
+            case Measured():
+                self._append(OBSERVATIONS_FILE, self._observation(event))
+            case Decided():
+                self._append(DECISIONS_FILE, asdict(event))
+            case Noted():
+                self._append(
+                    EVENTS_FILE,
+                    {
+                        "time_s": event.time_s,
+                        "wall": _now().isoformat(timespec="milliseconds"),
+                        "kind": event.kind,
+                        "text": event.text,
+                        **event.fields,
+                    },
+                )
 
-        score: (N,) confidence of each target seen, NaN where it was not.
-        """
-        targets = {
-            name: {"seen": seen, "position_au": position if seen else None, "score": confidence}
-            for name, seen, position, confidence in zip(
-                self._names, measurement.seen, measurement.target_au, score, strict=True
-            )
+    def _observation(self, event: Measured) -> dict[str, object]:
+        measurement = event.measurement
+        return {
+            "time_s": event.time_s,
+            "time_au": measurement.time_au,
+            "agent_au": measurement.agent_au,
+            "targets": {
+                name: {"seen": seen, "position_au": position if seen else None, "score": confidence}
+                for name, seen, position, confidence in zip(
+                    self._names, measurement.seen, measurement.target_au, event.score, strict=True
+                )
+            },
         }
-        self._append(
-            OBSERVATIONS_FILE,
-            {
-                "time_s": time_s,
-                "time_au": measurement.time_au,
-                "agent_au": measurement.agent_au,
-                "targets": targets,
-            },
-        )
 
-    def decision(
-        self,
-        *,
-        time_s: float,
-        time_au: float,
-        position_au: FloatArray,
-        waypoint_au: FloatArray,
-        node: int | None,
-        decision_ms: float,
-        details: Mapping[str, object] | None = None,
-    ) -> None:
-        """Record one choice of the planner.
+    @property
+    def is_empty(self) -> bool:
+        """Whether no line has been recorded."""
+        return all(log.is_empty for log in self._logs.values())
 
-        position_au, waypoint_au: (2,) au; node: roadmap node of the waypoint, None if it is none.
-        """
-        self._append(
-            DECISIONS_FILE,
-            {
-                "time_s": time_s,
-                "time_au": time_au,
-                "position_au": position_au,
-                "waypoint_au": waypoint_au,
-                "node": node,
-                "decision_ms": decision_ms,
-                "details": details or {},
-            },
-        )
-
-    def event(self, kind: str, text: str, *, time_s: float | None = None, **fields: object) -> None:
-        """Record what happened. time_s: vehicle time, None before the vehicle is heard."""
-        wall = _now().isoformat(timespec="milliseconds")
-        self._append(
-            EVENTS_FILE, {"time_s": time_s, "wall": wall, "kind": kind, "text": text, **fields}
-        )
+    def discard(self) -> None:
+        """Remove a run in which nothing happened, with the folder if nothing else is in it."""
+        self.close()
+        for file in self.folder.path.iterdir():
+            if file.name in RUN_FILES + OTHER_FILES:
+                file.unlink()
+        with contextlib.suppress(OSError):  # something else is in it
+            self.folder.path.rmdir()
 
     def finish(self, outcome: str, summary: Mapping[str, object]) -> None:
         """Write the final summary, with size and SHA-256 of every file; close flight.rrd first.
@@ -288,6 +281,10 @@ class _AppendOnlyFile:
                 os.ftruncate(self._fd, self._size_bytes)
             raise
         self._size_bytes += len(line)
+
+    @property
+    def is_empty(self) -> bool:
+        return not self._size_bytes
 
     def close(self) -> None:
         if self._fd >= 0:

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+import io
+import sys
+from collections.abc import Mapping
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-if TYPE_CHECKING:  # the runner is slow to import, and most commands do not fly
-    from dronemon.runner import FlightStatus
-    from dronemon.runner.status import Level
+from dronemon.events import Event, Level, Noted, Progressed
 
 console = Console()
 _errors = Console(stderr=True)
 _STYLES: dict[Level, str] = {"INFO": "cyan", "WARN": "yellow", "ERROR": "bold red"}
 _PLAIN_STEP = 0.1
 _BAR_WIDTH = 24
+
+
+def write_in_any_encoding() -> None:
+    """What the output's encoding lacks is written as `?` rather than ending the program."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 class FlightDisplay:
@@ -37,15 +43,20 @@ class FlightDisplay:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with self._quietly():
+        with contextlib.suppress(OSError, SystemExit):  # rich turns a closed pipe into SystemExit
             self._live.stop()
 
-    def status(self, status: FlightStatus) -> None:
-        """Show progress."""
-        with self._quietly():
-            self._show(status)
+    def take(self, event: Event) -> None:
+        """Show what a person wants to know of it; errors go to standard error."""
+        match event:
+            case Progressed():
+                self._show(event)
+            case Noted():
+                console = _errors if event.level == "ERROR" else self._console
+                kind = (f"{event.kind}: ", _STYLES[event.level])
+                console.print(Text.assemble(kind, event.text), soft_wrap=True)
 
-    def _show(self, status: FlightStatus) -> None:
+    def _show(self, status: Progressed) -> None:
         if self._console.is_terminal:
             self._live.update(self._line(status))
             return
@@ -55,23 +66,13 @@ class FlightDisplay:
             self._next_share = (int(share / _PLAIN_STEP) + 1) * _PLAIN_STEP
             self._console.print(self._line(status), soft_wrap=True)
 
-    def event(self, kind: str, text: str, level: Level) -> None:
-        """Show something that happened."""
-        with self._quietly():
-            self._console.print(Text.assemble((f"{kind}: ", _STYLES[level]), text), soft_wrap=True)
-
-    @contextlib.contextmanager
-    def _quietly(self) -> Iterator[None]:
-        """Nobody looks any more: the flight goes on (rich turns a closed pipe into SystemExit)."""
-        with contextlib.suppress(OSError, SystemExit):
-            yield
-
-    def _line(self, status: FlightStatus) -> Text:
+    def _line(self, status: Progressed) -> Text:
+        done, to_do = "━─" if self._console.encoding.lower().startswith("utf") else "=-"
         share = min(status.flown_au / status.horizon_au, 1.0) if status.horizon_au else 0.0
         filled = round(share * _BAR_WIDTH)
         parts = [
             f"{status.phase:<14}",
-            f"{'━' * filled}{'─' * (_BAR_WIDTH - filled)} {share:4.0%}",
+            f"{done * filled}{to_do * (_BAR_WIDTH - filled)} {share:4.0%}",
             f"{status.flown_au:.1f}/{status.horizon_au:g} au",
             f"{_minutes(status.left_s)} left",
             f"{status.speed_m_s:.1f} m/s",

@@ -34,6 +34,11 @@ class Pose:
     attitude_rad: Vector3
     """Roll, pitch, yaw: rotations about forward, right, down (aerospace ZYX order)."""
 
+    @property
+    def ground_speed_m_s(self) -> float:
+        """Speed over the ground."""
+        return math.hypot(*self.velocity_ned_m_s[:2])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:

@@ -1,7 +1,7 @@
 """The simulated world of a mission: the area, and animals that walk in it.
 
-The animals rest until the first picture is taken, so that positions known before take-off hold
-when the patrol begins; from then on each walks its path at constant speed.
+The animals rest until the first picture is taken in the air, so that positions known before
+take-off hold when the patrol begins; from then on each walks its path at constant speed.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from sim.scene import Animal, Scene
 
 DEFAULT_PLACE = GeoPoint(latitude_deg=47.397742, longitude_deg=8.545594, altitude_m=488.0)
 """Home of a mission without coordinates."""
+AIRBORNE_M = 2.0
+"""Height from which a picture is one of the flight."""
 
 
 class World:
-    """Where the targets of a mission are at any time since the first picture."""
+    """Where the targets of a mission are at any time since the first picture in the air."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -60,7 +62,8 @@ class World:
         """What a camera at `pose` takes a picture of; time that goes back does not count."""
         if self._pictured_s is not None:
             self._walking_s += max(pose.time_s - self._pictured_s, 0.0)
-        self._pictured_s = pose.time_s
+        if frame.height_m(pose.position_ned_m[2]) > AIRBORNE_M or self._pictured_s is not None:
+            self._pictured_s = pose.time_s
         walked_au = self.walked_au(self._walking_s)
         places = frame.au_to_ned(self._paths.positions_au(walked_au))
         headings = self._paths.headings_rad(walked_au)

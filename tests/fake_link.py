@@ -69,7 +69,7 @@ class FakeVehicle:
     def _failsafe(self) -> Mode | None:
         if not self.is_armed:
             return None
-        if not self.has_gps:
+        if not self.has_gps and self.intent is not Mode.LAND:
             return Mode.OTHER
         if self.failsafe is not None:
             return self.failsafe

@@ -13,6 +13,7 @@ LAYERS = {
     "types": 0,
     "frames": 0,
     "clock": 0,
+    "events": 0,
     "mission": 0,
     "workers": 0,
     "belief": 1,
@@ -21,6 +22,7 @@ LAYERS = {
     "vision": 1,
     "world": 1,
     "guidance": 1,
+    "guard": 1,
     "planner": 2,
     "env": 2,
     "vehicle": 3,
@@ -43,6 +45,7 @@ ORDER_IN_LAYER_0 = (
     "types",
     "frames",
     "clock",
+    "events",
     "mission",
     "workers",
 )

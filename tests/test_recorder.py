@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dronemon.errors import RecordError
+from dronemon.events import Decided, Measured, Noted
 from dronemon.recorder import RUN_FILES, RunFolder, RunRecorder
 from dronemon.types import Measurement
 
@@ -35,18 +36,32 @@ def measurement(time_au: float = 0.1) -> Measurement:
     )
 
 
+def noted(kind: str, text: str, time_s: float | None = None, **fields: object) -> Noted:
+    return Noted(time_s=time_s, kind=kind, text=text, level="INFO", fields=fields)
+
+
 def record_all(run: RunRecorder) -> None:
-    run.event("connect", "vehicle heard")
-    run.event("armed", "armed", time_s=3.0, battery=np.float32(0.5), mode="OFFBOARD")
-    run.observation(time_s=4.0, measurement=measurement(), score=np.array([0.9, np.nan]))
-    run.decision(
-        time_s=4.5,
-        time_au=0.12,
-        position_au=np.array([0.25, 0.5]),
-        waypoint_au=np.array([0.4, 0.6]),
-        node=np.int64(17),
-        decision_ms=3.5,
-        details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
+    run.take(noted("connect", "vehicle heard"))
+    run.take(noted("armed", "armed", 3.0, battery=np.float32(0.5), mode="OFFBOARD"))
+    run.take(
+        Measured(
+            time_s=4.0,
+            measurement=measurement(),
+            score=np.array([0.9, np.nan]),
+            battery=0.5,
+            cross_track_m=None,
+        )
+    )
+    run.take(
+        Decided(
+            time_s=4.5,
+            time_au=0.12,
+            position_au=np.array([0.25, 0.5]),
+            waypoint_au=np.array([0.4, 0.6]),
+            node=17,
+            decision_ms=3.5,
+            details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
+        )
     )
 
 
@@ -133,15 +148,15 @@ def test_a_full_disk_is_found_before_the_flight(tmp_path: Path) -> None:
 def test_a_write_that_fails_raises_once_and_leaves_whole_lines(tmp_path: Path) -> None:
     """A file size limit stands in for a full disk: both fail a write part of the way through."""
     with create(tmp_path) as run:
-        run.event("armed", "armed", time_s=1.0)
+        run.take(noted("armed", "armed", 1.0))
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (300, limits[1]))
         try:
             with pytest.raises(RecordError, match="free space"):
-                run.event("long", "x" * 400, time_s=2.0)
-            run.event("long", "x" * 400, time_s=3.0)
-            run.event("short", "returning", time_s=4.0)
+                run.take(noted("long", "x" * 400, 2.0))
+            run.take(noted("long", "x" * 400, 3.0))
+            run.take(noted("short", "returning", 4.0))
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
             signal.signal(signal.SIGXFSZ, ignored)
@@ -154,11 +169,13 @@ def test_a_write_that_fails_raises_once_and_leaves_whole_lines(tmp_path: Path) -
 WRITER = """
 import itertools, sys
 from pathlib import Path
+from dronemon.events import Noted
 from dronemon.recorder import RunRecorder
 run = RunRecorder.create(mission_text="m", mission_name="m", target_names=["a"],
                          out=Path(sys.argv[1]))
 for number in itertools.count():
-    run.event("tick", "x" * 200, time_s=float(number), number=number)
+    fields = {"number": number}
+    run.take(Noted(time_s=float(number), kind="tick", text="x" * 200, level="INFO", fields=fields))
     print(number, flush=True)
 """
 
@@ -195,6 +212,22 @@ def test_a_last_line_cut_short_is_left_out_and_a_damaged_middle_is_an_error(tmp_
     events.write_bytes(b"{oops}\n" + whole)
     with pytest.raises(RecordError, match="line 1 is damaged"):
         list(run.folder.events())
+
+
+def test_a_run_in_which_nothing_happened_is_removed(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        assert run.is_empty
+        run.folder.rrd_path.write_bytes(b"RRF2")
+        run.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_not_the_runs_is_kept(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        (run.folder.path / "truth.jsonl").touch()
+        (run.folder.path / "notes.txt").write_text("mine")
+        run.discard()
+    assert [file.name for file in run.folder.path.iterdir()] == ["notes.txt"]
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:

@@ -1,15 +1,14 @@
 """Flies a mission: links, patrol, the way home. It reads as the mission's story."""
 
-from dronemon.runner.flight import FlightResult, fly
-from dronemon.runner.preparation import mission_kernel, rehearse
-from dronemon.runner.status import Audience, FlightStatus, Interrupts
+from dronemon.runner.flight import FlightResult, fly_mission
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup, mission_kernel, rehearse
 
 __all__ = [
-    "Audience",
     "FlightResult",
-    "FlightStatus",
+    "FlightSetup",
     "Interrupts",
-    "fly",
+    "fly_mission",
     "mission_kernel",
     "rehearse",
 ]

@@ -6,6 +6,7 @@ import contextlib
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -13,19 +14,42 @@ import torch
 
 from dronemon.belief import Belief, Matern32
 from dronemon.belief.compiled import is_ready as belief_is_compiled
+from dronemon.camera import FrameSource
 from dronemon.errors import PlannerError
-from dronemon.mission import Mission
+from dronemon.events import Subscriber
+from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Briefing, Planner, Snapshot
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.status import Interrupted, Interrupts
+from dronemon.runner.interrupts import Interrupted, Interrupts
 from dronemon.types import FloatArray, Measurement, Pose
+from dronemon.vehicle import VehicleLink
 from dronemon.vision import Detector
 from dronemon.viz import belief_grid_au
 from dronemon.world import Instance
 from dronemon.world.instance import named_stream
 
 _COMPILE_LIMIT_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightSetup:
+    """Everything that one flight is made of.
+
+    link: connected; camera: still to be opened; record: the critical subscriber of what happens.
+
+    priors_au: (N, 2) au known positions of the targets, NaN where unknown
+    """
+
+    file: MissionFile
+    link: VehicleLink
+    camera: FrameSource
+    detector: Detector
+    planner: Planner
+    priors_au: FloatArray
+    record: Subscriber
+    watchers: tuple[Subscriber, ...]
+    interrupts: Interrupts
 
 
 async def rehearse(

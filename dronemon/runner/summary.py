@@ -3,18 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
 
 from dronemon.belief import Matern32, ObservationStore, fit
 from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
-from dronemon.problem import WINDOW_TIME_SCALES
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_TIME_SCALES
 from dronemon.runner.flight import FlightResult
-from dronemon.runner.patrol import Tally
+from dronemon.runner.tally import Tally
 from dronemon.types import FloatArray
 
-Summary = dict[str, object]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flown:
+    """How the patrol was flown; None where there is nothing to measure.
+
+    picture_spacing_error: median share by which two pictures are apart more or less than 0.1 au.
+    observations: how often each target was seen, by name.
+    """
+
+    distance_m: float
+    distance_au: float
+    patrol_s: float
+    mean_speed_m_s: float | None
+    cross_track_p95_m: float | None
+    cross_track_p95_au: float | None
+    pictures: int
+    pictures_due: int
+    picture_spacing_m: float | None
+    picture_spacing_error: float | None
+    decisions: int
+    decision_p50_ms: float | None
+    decision_p99_ms: float | None
+    observations: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """How well the targets were watched; None where the truth is not known."""
+
+    unc: float | None = None
+    unc_std: float | None = None
+    jsd: float | None = None
+    min_ob: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """What a flight came to; without a patrol there is no more to say than how it ended."""
+
+    outcome: str
+    is_landed: bool
+    landing_error_m: float | None
+    error: str | None
+    flown: Flown | None
+    score: Score | None
+
+    def as_json(self) -> dict[str, object]:
+        """Every figure by name, as summary.json has them after the outcome."""
+        parts = [asdict(part) for part in (self.flown, self.score) if part is not None]
+        head = {name: getattr(self, name) for name in ("is_landed", "landing_error_m", "error")}
+        return head | {name: value for part in parts for name, value in part.items()}
 
 
 def summarise(
@@ -26,54 +77,54 @@ def summarise(
     target_names: tuple[str, ...],
     kernel: Matern32,
 ) -> Summary:
-    """Every figure of a flight by name, JSON values only.
+    """Sum a flight up.
 
-    truth: capture time -> (N, 2) au true positions; empty where there is no simulator.
-    priors_au: (N, 2) au, NaN where unknown.
+    truth:     capture time -> (N, 2) au true positions; empty where there is no simulator
+    priors_au: (N, 2) au, NaN where unknown
     """
-    summary: Summary = {
-        "is_landed": result.is_landed,
-        "landing_error_m": result.landing_error_m,
-        "error": str(result.error) if result.error else None,
-    }
-    tally = result.patrol.tally if result.patrol else None
-    if tally is not None:
-        summary |= _flown(tally, side_m, target_names)
-        summary |= _score(tally, truth, priors_au, kernel)
-    return summary
+    tally = result.tally
+    return Summary(
+        outcome=result.outcome,
+        is_landed=result.is_landed,
+        landing_error_m=result.landing_error_m,
+        error=str(result.error) if result.error else None,
+        flown=_flown(tally, side_m, target_names) if tally else None,
+        score=_score(tally, truth, priors_au, kernel) if tally else None,
+    )
 
 
-def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Summary:
+def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
     seen = np.array([m.seen for m in tally.measurements], dtype=bool)
     seen = seen.reshape(-1, len(target_names))
     progress = np.array(tally.progress)  # (T, 2) s, m
     pictured_m = np.interp(tally.times_s, *progress.T) if len(progress) else np.empty(0)
     spacing_m = np.diff(pictured_m, prepend=0.0)
-    return {
-        "distance_m": tally.flown_m,
-        "distance_au": tally.flown_m / side_m,
-        "patrol_s": tally.duration_s,
-        "mean_speed_m_s": tally.flown_m / tally.duration_s if tally.duration_s else None,
-        "cross_track_p95_m": _percentile(tally.cross_track_m, 95),
-        "cross_track_p95_au": _percentile(np.array(tally.cross_track_m) / side_m, 95),
-        "pictures": len(tally.measurements),
-        "pictures_due": tally.num_pictures_due,
-        "picture_spacing_m": _percentile(spacing_m, 50),
-        "picture_spacing_error": _percentile(np.abs(spacing_m / (0.1 * side_m) - 1.0), 50),
-        "decisions": len(tally.decision_ms),
-        "decision_p50_ms": _percentile(tally.decision_ms, 50),
-        "decision_p99_ms": _percentile(tally.decision_ms, 99),
-        "observations": dict(zip(target_names, seen.sum(axis=0).tolist(), strict=True)),
-    }
+    due_m = MEASUREMENT_INTERVAL_AU * side_m
+    return Flown(
+        distance_m=tally.flown_m,
+        distance_au=tally.flown_m / side_m,
+        patrol_s=tally.duration_s,
+        mean_speed_m_s=tally.flown_m / tally.duration_s if tally.duration_s else None,
+        cross_track_p95_m=_percentile(tally.cross_track_m, 95),
+        cross_track_p95_au=_percentile(np.array(tally.cross_track_m) / side_m, 95),
+        pictures=len(tally.measurements),
+        pictures_due=tally.num_pictures_due,
+        picture_spacing_m=_percentile(spacing_m, 50),
+        picture_spacing_error=_percentile(np.abs(spacing_m / due_m - 1.0), 50),
+        decisions=len(tally.decision_ms),
+        decision_p50_ms=_percentile(tally.decision_ms, 50),
+        decision_p99_ms=_percentile(tally.decision_ms, 99),
+        observations=dict(zip(target_names, seen.sum(axis=0).tolist(), strict=True)),
+    )
 
 
 def _score(
     tally: Tally, truth: Mapping[float, FloatArray], priors_au: FloatArray, kernel: Matern32
-) -> Summary:
+) -> Score:
     """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth."""
     true_au = [truth.get(round(time_s, 6)) for time_s in tally.times_s]
     if not tally.measurements or any(positions is None for positions in true_au):
-        return {"unc": None, "unc_std": None, "jsd": None, "min_ob": None}
+        return Score()
     num_targets = len(priors_au)
     window_au = WINDOW_TIME_SCALES * kernel.length_scales_au[2]
     store = ObservationStore(1, num_targets, window_au=window_au)
@@ -97,28 +148,28 @@ def _score(
         mean = posterior.mean(query.expand(1, num_targets, *query.shape))
         jsd.append(jensen_shannon(mean, target_au)[0].numpy())
     seen = np.array([m.seen for m in tally.measurements])
-    return {
-        "unc": float(np.mean(unc)),
-        "unc_std": float(np.std(unc, axis=1).mean()),
-        "jsd": float(np.mean(jsd)),
-        "min_ob": int(seen.sum(axis=0).min()),
-    }
+    return Score(
+        unc=float(np.mean(unc)),
+        unc_std=float(np.std(unc, axis=1).mean()),
+        jsd=float(np.mean(jsd)),
+        min_ob=int(seen.sum(axis=0).min()),
+    )
 
 
 def _percentile(values: FloatArray | list[float], percent: float) -> float | None:
     return float(np.percentile(values, percent)) if len(values) else None
 
 
-def facts(outcome: str, summary: Summary) -> dict[str, str]:
-    """The summary in words, for a table."""
+def facts(summary: Summary) -> dict[str, str]:
+    """The summary in words, for a table; an error was told when it happened."""
+    values = summary.as_json()
 
     def show(name: str, form: str, *keys: str) -> None:
-        values = [summary.get(key) for key in keys]
-        if all(value is not None for value in values):
-            table[name] = form.format(*values)
+        shown = [values.get(key) for key in keys]
+        if all(value is not None for value in shown):
+            table[name] = form.format(*shown)
 
-    table = {"outcome": outcome}
-    show("error", "{}", "error")
+    table = {"outcome": summary.outcome}
     show("landing", "{:.1f} m from home", "landing_error_m")
     show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
     show("mean ground speed", "{:.2f} m/s", "mean_speed_m_s")
@@ -128,7 +179,7 @@ def facts(outcome: str, summary: Summary) -> dict[str, str]:
     show("Unc (spread)", "{:.3f} ({:.3f})", "unc", "unc_std")
     show("JSD", "{:.3f}", "jsd")
     show("MinOb", "{}", "min_ob")
-    observations = summary.get("observations")
-    if isinstance(observations, dict):
-        table["observations"] = ", ".join(f"{name} {count}" for name, count in observations.items())
+    if summary.flown is not None:
+        counts = summary.flown.observations.items()
+        table["observations"] = ", ".join(f"{name} {count}" for name, count in counts)
     return table

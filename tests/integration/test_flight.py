@@ -88,7 +88,7 @@ def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
     assert summary["mean_speed_m_s"] > 0.92 * 5.0
     assert summary["cross_track_p95_au"] < 0.02
     assert summary["picture_spacing_error"] < 0.02
-    assert len(flight.lines("observations")) in {19, 20}
+    assert len(flight.lines("observations")) == 20
     assert 0.3 < summary["unc"] < 1.0
     assert 0.0 < summary["jsd"] < 0.7
     kinds = [event["kind"] for event in flight.lines("events")]
@@ -100,8 +100,7 @@ def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
         details = decision["details"]
         best = details["neighbours"][int(np.argmax(details["logits"]))]
         assert decision["node"] == best
-    # The patrol ends at the horizon, also when that is just where a picture is due.
-    assert summary["pictures_due"] - summary["pictures"] in {0, 1}
+    assert (summary["pictures"], summary["pictures_due"]) == (20, 20)
     _verify(flight)
 
 
@@ -134,6 +133,7 @@ def test_ctrl_c_returns_and_lands_and_keeps_the_record(fly: Callable[..., Flight
     assert summary["outcome"] == "interrupted"
     assert summary["is_landed"]
     assert summary["landing_error_m"] < 3.0
+    assert output.count("Ctrl-C again lands it where it is") == 1
     _verify(flight)
 
 
@@ -189,6 +189,6 @@ def test_a_vehicle_at_a_url_with_animals_that_follow_it(
     assert code == 0, output
     summary = flight.summary()
     assert summary["is_landed"]
-    assert len(flight.lines("observations")) in {9, 10}
+    assert len(flight.lines("observations")) == 10
     assert summary["unc"] is not None
     assert vehicle.scenes() == []  # its own camera was not asked

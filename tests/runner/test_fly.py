@@ -1,4 +1,7 @@
-"""Whatever fails in flight, the drone comes home, and the record says why."""
+"""Whatever fails in flight, the drone comes home: over MAVSDK and UDP, with the simulator.
+
+`test_flights_in_memory` flies the same, and more, in every `make test`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import asyncio
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,23 +17,16 @@ from simulated_vehicle import StartMockVehicle, free_udp_port
 
 from dronemon.assembly import make_detector
 from dronemon.camera import SimulatedCamera
-from dronemon.errors import (
-    CameraError,
-    ControlTaken,
-    LinkLost,
-    PlannerError,
-    RecordError,
-    VehicleError,
-)
+from dronemon.errors import CameraError, ControlTaken, LinkLost, RecordError, VehicleError
+from dronemon.events import Event, Measured, Noted
 from dronemon.mission import load_mission
-from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.recorder import RunRecorder
-from dronemon.roadmap import Roadmap
-from dronemon.runner import FlightResult, FlightStatus, Interrupts, fly, rehearse
+from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, rehearse
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.viz import FlightView
 
+pytestmark = pytest.mark.flights
 MISSION = """
 name: small
 area: {side_m: 100}
@@ -47,20 +42,16 @@ OFFBOARD = 393216  # PX4's custom mode
 
 
 class Audience:
-    """Keeps what it is told; `on_event` may act on it."""
+    """Keeps what it is told; `on_note` may act on it."""
 
     def __init__(self) -> None:
-        self.phases: list[str] = []
         self.kinds: list[str] = []
-        self.on_event: Callable[[str], None] = lambda kind: None
+        self.on_note: Callable[[str], None] = lambda kind: None
 
-    def status(self, status: FlightStatus) -> None:
-        if status.phase not in self.phases:
-            self.phases.append(status.phase)
-
-    def event(self, kind: str, text: str, level: str) -> None:
-        self.kinds.append(kind)
-        self.on_event(kind)
+    def take(self, event: Event) -> None:
+        if isinstance(event, Noted):
+            self.kinds.append(event.kind)
+            self.on_note(event.kind)
 
 
 class Rehearsal:
@@ -72,7 +63,6 @@ class Rehearsal:
         self.out = tmp_path / "run"
         self.audience = Audience()
         self.interrupts = Interrupts()
-        self.planner: Any = Lawnmower()
         self._start = start
 
     def fly(self, *options: str) -> FlightResult:
@@ -81,12 +71,11 @@ class Rehearsal:
     async def _fly(self, options: tuple[str, ...]) -> FlightResult:
         file = load_mission(self.path)
         detector = make_detector(file.mission)
-        await rehearse(file.mission, detector, self.planner, self.interrupts)
+        await rehearse(file.mission, detector, Lawnmower(), self.interrupts)
         vehicle = self._start(self.path, "--speed-up", "20", *options)
         recorder = RunRecorder.create(
             mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out
         )
-        self.recorder = recorder
         view = FlightView(
             recorder.folder.rrd_path,
             title="small",
@@ -97,17 +86,18 @@ class Rehearsal:
         async with asyncio.timeout(90):
             with recorder, view:
                 async with MavsdkLink(vehicle.url, link_loss_timeout_s=2.0) as link:
-                    return await fly(
-                        file,
-                        link=link,
-                        camera=SimulatedCamera(vehicle.camera_url, timeout_s=1.5),
-                        detector=detector,
-                        planner=self.planner,
-                        priors_au=np.array([[0.4, 0.6]]),
-                        recorder=recorder,
-                        view=view,
-                        interrupts=self.interrupts,
-                        audience=self.audience,
+                    return await fly_mission(
+                        FlightSetup(
+                            file=file,
+                            link=link,
+                            camera=SimulatedCamera(vehicle.camera_url, timeout_s=1.5),
+                            detector=detector,
+                            planner=Lawnmower(),
+                            priors_au=np.array([[0.4, 0.6]]),
+                            record=recorder,
+                            watchers=(view, self.audience),
+                            interrupts=self.interrupts,
+                        )
                     )
 
 
@@ -116,67 +106,12 @@ def rehearsal(tmp_path: Path, mock_vehicle: StartMockVehicle) -> Rehearsal:
     return Rehearsal(tmp_path, mock_vehicle)
 
 
-class Stub:
-    """A planner whose third answer is `answer()`."""
-
-    name = "stub"
-
-    def __init__(self, answer: Callable[[], Waypoint]) -> None:
-        self._answer = answer
-        self._asked = 0
-
-    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
-        self._asked = 0
-
-    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
-        self._asked += 1
-        if self._asked == 3:
-            return self._answer()
-        return Waypoint(position_au=np.array([0.5, 0.6 if self._asked % 2 else 0.4]))
-
-
-def _fails() -> Waypoint:
-    raise IndexError("beyond the roadmap")
-
-
-def _hangs() -> Waypoint:
-    threading.Event().wait()
-    raise AssertionError
-
-
-def _gives_no_place() -> Waypoint:
-    return Waypoint(position_au=np.array([np.nan, 0.5]))
-
-
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [
-        (_fails, "IndexError"),
-        (_hangs, "no waypoint from planner 'stub'"),
-        (_gives_no_place, "no place"),
-    ],
-)
-def test_a_bad_planner_brings_the_drone_home(
-    rehearsal: Rehearsal, answer: Callable[[], Waypoint], words: str
-):
-    rehearsal.planner = Stub(answer)
-    result = rehearsal.fly()
-    assert isinstance(result.error, PlannerError)
-    assert words in str(result.error)
-    assert result.outcome == "failed"
-    assert result.is_landed
-    assert result.landing_error_m is not None
-    assert result.landing_error_m < 2.0
-    assert "returning" in rehearsal.audience.phases
-
-
 def test_a_dead_camera_brings_the_drone_home(rehearsal: Rehearsal):
     result = rehearsal.fly("--fault", "camera@30")
     assert isinstance(result.error, CameraError)
     assert result.is_landed
 
 
-@pytest.mark.flights
 def test_a_low_battery_brings_the_drone_home(rehearsal: Rehearsal):
     result = rehearsal.fly("--fault", "battery=0.24@40")
     assert result.outcome == "battery low"
@@ -184,7 +119,6 @@ def test_a_low_battery_brings_the_drone_home(rehearsal: Rehearsal):
     assert result.is_landed
 
 
-@pytest.mark.flights
 def test_a_lost_link_is_waited_for(rehearsal: Rehearsal):
     """The autopilot's own failsafe flies home meanwhile; the record is complete."""
     result = rehearsal.fly("--fault", "silence@40+60")
@@ -193,18 +127,17 @@ def test_a_lost_link_is_waited_for(rehearsal: Rehearsal):
     assert result.outcome == "failed"
 
 
-@pytest.mark.flights
 def test_a_full_disk_brings_the_drone_home(rehearsal: Rehearsal, monkeypatch: pytest.MonkeyPatch):
-    def no_space(*_: object, **__: object) -> None:
-        raise RecordError("cannot write observations.jsonl: no space left on device")
+    def no_space(recorder: RunRecorder, event: Event) -> None:
+        if isinstance(event, Measured):
+            raise RecordError("cannot write observations.jsonl: no space left on device")
 
-    monkeypatch.setattr(RunRecorder, "observation", no_space)
+    monkeypatch.setattr(RunRecorder, "take", no_space)
     result = rehearsal.fly()
     assert isinstance(result.error, RecordError)
     assert result.is_landed
 
 
-@pytest.mark.flights
 def test_the_pilot_takes_over_and_gives_back(rehearsal: Rehearsal):
     """POSCTL ends our control; OFFBOARD, chosen at another station, gives it back."""
     port = free_udp_port()
@@ -226,7 +159,7 @@ def test_the_pilot_takes_over_and_gives_back(rehearsal: Rehearsal):
                 pass  # heartbeats from before
             pilot.start()
 
-    rehearsal.audience.on_event = when_taken
+    rehearsal.audience.on_note = when_taken
     try:
         result = rehearsal.fly("--fault", "pilot@40", "--mavlink-out", f"127.0.0.1:{port}")
     finally:
@@ -244,35 +177,26 @@ def test_nothing_is_commanded_while_the_pilot_flies(rehearsal: Rehearsal):
             rehearsal.interrupts.request()
             rehearsal.interrupts.request()
 
-    rehearsal.audience.on_event = give_up
+    rehearsal.audience.on_note = give_up
     result = rehearsal.fly("--fault", "pilot@40")
     assert result.outcome == "pilot"
     assert not result.is_landed
     assert "homecoming" not in rehearsal.audience.kinds
 
 
-def test_an_interrupt_before_take_off_flies_nothing(rehearsal: Rehearsal):
-    rehearsal.interrupts.request()
-    result = rehearsal.fly()
-    assert result.outcome == "interrupted"
-    assert "armed" not in rehearsal.audience.kinds
-
-
-@pytest.mark.flights
 def test_the_pilot_wins_during_take_off_too(rehearsal: Rehearsal):
     def give_up(kind: str) -> None:
         if kind == "control taken":
             rehearsal.interrupts.request()
             rehearsal.interrupts.request()
 
-    rehearsal.audience.on_event = give_up
+    rehearsal.audience.on_note = give_up
     result = rehearsal.fly("--fault", "pilot@5")
     assert result.outcome == "pilot"
     assert "airborne" not in rehearsal.audience.kinds
     assert "homecoming" not in rehearsal.audience.kinds
 
 
-@pytest.mark.flights
 def test_a_pilot_whose_link_is_silent_for_a_while_is_not_fought(rehearsal: Rehearsal):
     def ask_twice() -> None:
         rehearsal.interrupts.request()
@@ -282,13 +206,12 @@ def test_a_pilot_whose_link_is_silent_for_a_while_is_not_fought(rehearsal: Rehea
         if kind == "control taken":
             asyncio.get_running_loop().call_later(8.0, ask_twice)
 
-    rehearsal.audience.on_event = end_later
+    rehearsal.audience.on_note = end_later
     result = rehearsal.fly("--fault", "pilot@40", "--fault", "silence@45+80")
     assert result.outcome == "pilot"
     assert "homecoming" not in rehearsal.audience.kinds
 
 
-@pytest.mark.flights
 def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
     """Commands that are not heard: setpoints stop for the vehicle, which flies home by itself."""
     result = rehearsal.fly("--fault", "deaf@40")
@@ -298,7 +221,6 @@ def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
     assert "homecoming" not in rehearsal.audience.kinds
 
 
-@pytest.mark.flights
 def test_lost_gps_ends_the_patrol(rehearsal: Rehearsal):
     """Without it the vehicle can only hover; it is brought home once it has it again."""
     result = rehearsal.fly("--fault", "gps@40+60")

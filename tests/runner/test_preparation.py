@@ -17,7 +17,7 @@ from dronemon.mission import Mission, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.roadmap import Roadmap
 from dronemon.runner import Interrupts, rehearse
-from dronemon.runner.status import Interrupted
+from dronemon.runner.interrupts import Interrupted
 
 MISSION = Path(__file__).parents[2] / "missions" / "animals.yaml"
 

@@ -10,6 +10,7 @@ import pytest
 from ground_station import make_mission
 
 from dronemon.frames import GeoPoint, ned_to_geo
+from dronemon.types import Pose
 from sim.faults import Fault, FaultSchedule, parse_fault
 from sim.flight import HOME_NED_M, MockFlight
 from sim.geodesy import LocalMap
@@ -33,7 +34,7 @@ def test_animals_face_where_they_walk() -> None:
     world = World(make_mission(area={"heading_deg": 30.0}))
     simulation = MockFlight(make_mission(), world)
     frame = world.frame(HOME_NED_M, ORIGIN)
-    pose = simulation.autopilot.body.pose(1.0)
+    pose = _risen(simulation.autopilot.body.pose(1.0))
     world.scene(pose, frame)
     before = world.scene(replace(pose, time_s=41.0), frame)
     after = world.scene(replace(pose, time_s=41.1), frame)
@@ -44,21 +45,25 @@ def test_animals_face_where_they_walk() -> None:
         assert b.walked_m - a.walked_m == pytest.approx(0.025)
 
 
-def test_animals_rest_until_the_first_picture() -> None:
+def _risen(pose: Pose) -> Pose:
+    north_m, east_m, down_m = pose.position_ned_m
+    return replace(pose, position_ned_m=(north_m, east_m, down_m - 30.0))
+
+
+def test_animals_rest_until_the_first_picture_in_the_air() -> None:
     mission = make_mission()
     world = World(mission)
-    simulation = MockFlight(mission, world)
-    for _ in range(700):
-        simulation.step()
-    at_rest = simulation.scene()
-    starts = world.frame(HOME_NED_M, simulation.autopilot.origin).au_to_ned(world.targets_au(0.0))
+    pose = MockFlight(mission, world).autopilot.body.pose(14.0)
+    frame = world.frame(HOME_NED_M, ORIGIN)
+    world.scene(pose, frame)  # the camera is tried on the ground
+    at_rest = world.scene(_risen(replace(pose, time_s=20.0)), frame)
+    starts = frame.au_to_ned(world.targets_au(0.0))
     for animal, start in zip(at_rest.animals, starts, strict=True):
         assert animal.position_ned_m == pytest.approx(tuple(start), abs=1e-3)
-    for _ in range(300):
-        simulation.step()
+    later = world.scene(_risen(replace(pose, time_s=23.0)), frame)
     moved = [
         math.dist(a.position_ned_m, b.position_ned_m)
-        for a, b in zip(at_rest.animals, simulation.scene().animals, strict=True)
+        for a, b in zip(at_rest.animals, later.animals, strict=True)
     ]
     assert moved == pytest.approx([0.25 * 3.0] * 2, rel=0.05)
 

@@ -15,9 +15,22 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 
 from dronemon.errors import ViewError
+from dronemon.events import (
+    AreaLaid,
+    Believed,
+    Decided,
+    Event,
+    Measured,
+    Moved,
+    Noted,
+    Pictured,
+    RoadmapDrawn,
+    TruthTold,
+)
 from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.types import CameraModel, Detection, Measurement, Picture, Pose
 from dronemon.viz import FlightView, belief_grid_au
@@ -65,26 +78,54 @@ def measurement(seen: list[bool]) -> Measurement:
     )
 
 
+def noted(time_s: float | None, kind: str, text: str, level: str = "INFO") -> Noted:
+    return Noted(time_s=time_s, kind=kind, text=text, level=level, fields={})
+
+
+def measured(time_s: float, seen: list[bool], battery: float | None = None) -> Measured:
+    return Measured(
+        time_s=time_s,
+        measurement=measurement(seen),
+        score=np.array([0.9, 0.9]),
+        battery=battery,
+        cross_track_m=None,
+    )
+
+
+def decided(time_s: float) -> Decided:
+    return Decided(
+        time_s=time_s,
+        time_au=0.1,
+        position_au=np.array([0.5, 0.5]),
+        waypoint_au=np.array([0.9, 0.1]),
+        node=None,
+        decision_ms=4.0,
+        details={},
+    )
+
+
 def fly(shown: FlightView, num_measurements: int = 3) -> None:
     """Hand over one of everything for each measurement, 4 s of vehicle time apart."""
     rng = np.random.default_rng(10_000)
-    shown.event(None, "connect", "vehicle heard")
-    shown.area(AREA, footprint_radius_m=20.0)
-    shown.roadmap(rng.random((20, 2)), rng.integers(0, 20, (60, 2)))
+    shown.take(noted(None, "connect", "vehicle heard"))
+    shown.take(AreaLaid(area=AREA, footprint_radius_m=20.0))
+    shown.take(RoadmapDrawn(nodes_au=rng.random((20, 2)), edges=rng.integers(0, 20, (60, 2))))
     for number in range(num_measurements):
         time_s = 100.0 + 4.0 * number
         for step in range(40):
-            shown.pose(pose(time_s - 4.0 + 0.1 * step))
-        shown.measurement(time_s, measurement([number > 0, False]))
-        shown.truth(time_s, np.array([[0.3, 0.3], [0.7, 0.7]]))
+            shown.take(Moved(pose=pose(time_s - 4.0 + 0.1 * step)))
+        shown.take(measured(time_s, [number > 0, False], 0.9 - 0.1 * number))
+        targets_au = np.array([[0.3, 0.3], [0.7, 0.7]])
+        shown.take(TruthTold(time_s=time_s, targets_au=targets_au))
         grid = belief_grid_au(40)
-        shown.beliefs(time_s, np.stack([grid[..., 0]] * 2), np.stack([grid[..., 1]] * 2))
-        shown.waypoint(time_s, np.array([0.5, 0.5]), np.array([0.9, 0.1]))
-        shown.scalars(time_s, battery=0.9 - 0.1 * number, decision_ms=4.0)
+        mean, std = np.stack([grid[..., 0]] * 2), np.stack([grid[..., 1]] * 2)
+        shown.take(Believed(time_s=time_s, mean=mean, std=std))
+        shown.take(decided(time_s))
         image = rng.integers(0, 256, (480, 640, 3), dtype=np.uint8)
         found = [Detection(appearance="fox", pixel_px=(300.0, 200.0), score=0.9)] * (number % 2)
-        shown.picture(Picture(time_s=time_s - 0.1, image=image), found, pose(time_s - 0.1))
-    shown.event(200.0, "landed", "on the ground", level="WARN")
+        picture = Picture(time_s=time_s - 0.1, image=image)
+        shown.take(Pictured(picture=picture, detections=found, pose=pose(time_s - 0.1)))
+    shown.take(noted(200.0, "landed", "on the ground", "WARN"))
 
 
 def verify(path: Path) -> subprocess.CompletedProcess[str]:
@@ -187,10 +228,10 @@ def test_pictures_are_jpeg_and_carry_footprint_and_detections(recording: Path) -
 
 def test_poses_are_thinned_and_a_reboot_restarts_them(tmp_path: Path) -> None:
     with view(tmp_path / "flight.rrd") as shown:
-        shown.area(AREA, footprint_radius_m=20.0)
+        shown.take(AreaLaid(area=AREA, footprint_radius_m=20.0))
         for step in range(100):
-            shown.pose(pose(50.0 + 0.01 * step))
-        shown.pose(pose(0.5))
+            shown.take(Moved(pose=pose(50.0 + 0.01 * step)))
+        shown.take(Moved(pose=pose(0.5)))
     times_s = [
         t for t, _ in rows(tmp_path / "flight.rrd", "/map/vehicle", "Transform3D:translation")
     ]
@@ -201,20 +242,24 @@ def block_worker(shown: FlightView) -> threading.Event:
     """Keep the worker busy until the event returned is set."""
     started, go_on = threading.Event(), threading.Event()
 
-    def wait(*_: object) -> None:
+    draw = shown._drawing.draw
+
+    def wait(rec: rr.RecordingStream, event: Event) -> None:
         started.set()
         go_on.wait(30.0)
+        shown._drawing.draw = draw
 
-    shown._queue.put(wait)
+    shown._drawing.draw = wait
+    shown.take(noted(None, "blocked", "until the test goes on"))
     assert started.wait(10.0)
     return go_on
 
 
 def test_a_full_queue_drops_the_newest_and_counts_them(tmp_path: Path) -> None:
-    with view(tmp_path / "flight.rrd", max_tasks=5) as shown:
+    with view(tmp_path / "flight.rrd", max_events=5) as shown:
         go_on = block_worker(shown)
         for number in range(12):
-            shown.scalars(float(number), battery=0.5)
+            shown.take(measured(float(number), [False, False], 0.5))
         assert shown.dropped == 7
         go_on.set()
     battery = rows(tmp_path / "flight.rrd", "/plots/battery", "Scalars:scalars")
@@ -226,7 +271,9 @@ def test_waiting_pictures_are_limited_by_their_size(tmp_path: Path) -> None:
         go_on = block_worker(shown)
         image = np.zeros((480, 640, 3), dtype=np.uint8)
         for number in range(5):
-            shown.picture(Picture(time_s=float(number), image=image), [], pose(float(number)))
+            time_s = float(number)
+            picture = Picture(time_s=time_s, image=image)
+            shown.take(Pictured(picture=picture, detections=[], pose=pose(time_s)))
         assert shown.dropped == 3
         go_on.set()
     assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 2
@@ -235,20 +282,20 @@ def test_waiting_pictures_are_limited_by_their_size(tmp_path: Path) -> None:
 def test_closing_has_a_time_limit_and_counts_what_it_leaves(tmp_path: Path) -> None:
     shown = view(tmp_path / "flight.rrd").__enter__()
     go_on = block_worker(shown)
-    shown.scalars(1.0, battery=0.5)
-    shown.scalars(2.0, battery=0.4)
+    shown.take(measured(1.0, [False, False], 0.5))
+    shown.take(measured(2.0, [False, False], 0.4))
     threading.Timer(0.5, go_on.set).start()
     shown.close(timeout_s=0.0)
-    shown.scalars(3.0, battery=0.3)
+    shown.take(measured(3.0, [False, False], 0.3))
     assert shown.dropped == 3
     assert verify(tmp_path / "flight.rrd").returncode == 0
 
 
 def test_a_value_that_cannot_be_shown_is_counted_and_the_rest_recorded(tmp_path: Path) -> None:
     with view(tmp_path / "flight.rrd") as shown:
-        shown.area(AREA, footprint_radius_m=20.0)
-        shown.truth(1.0, np.zeros((1, 3)))
-        shown.scalars(2.0, battery=0.5)
+        shown.take(AreaLaid(area=AREA, footprint_radius_m=20.0))
+        shown.take(TruthTold(time_s=1.0, targets_au=np.zeros((1, 3))))
+        shown.take(measured(2.0, [False, False], 0.5))
     assert shown.dropped == 1
     assert shown.error is not None
     assert len(rows(tmp_path / "flight.rrd", "/plots/battery", "Scalars:scalars")) == 1
@@ -416,7 +463,7 @@ def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
     tmp_path: Path,
 ) -> None:
     others = set(psutil.Process().children(recursive=True))  # of tests before this one
-    with view(tmp_path / "flight.rrd", live=True, port=free_port(), max_tasks=2000) as shown:
+    with view(tmp_path / "flight.rrd", live=True, port=free_port(), max_events=2000) as shown:
         wait_until(lambda: is_served(shown.url or ""))
         for process in set(psutil.Process().children(recursive=True)) - others:
             process.suspend()

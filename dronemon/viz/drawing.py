@@ -1,4 +1,4 @@
-"""Turns what the flight hands over into Rerun data: one method per kind of value.
+"""Turns the flight's events into Rerun data: one method for each kind.
 
 What happens before the area is known appears in the log and the time series, but not on the map.
 """
@@ -6,18 +6,29 @@ What happens before the area is known appears in the log and the time series, bu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 import rerun as rr
 
+from dronemon.events import (
+    AreaLaid,
+    Believed,
+    Decided,
+    Event,
+    Level,
+    Measured,
+    Moved,
+    Noted,
+    Pictured,
+    RoadmapDrawn,
+    TruthTold,
+)
 from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.types import (
     CameraModel,
     Detection,
     FloatArray,
     IntArray,
-    Measurement,
     Picture,
     Pose,
 )
@@ -26,11 +37,10 @@ from dronemon.viz import entities
 JPEG_QUALITY = 80
 TRAJECTORY_INTERVAL_S = 0.5
 INFERNO, VIRIDIS = rr.components.Colormap.Inferno, rr.components.Colormap.Viridis
-Level = Literal["INFO", "WARN", "ERROR"]
 
 
-class Scene:
-    """The state of the drawing; not thread-safe. Its methods are those of `FlightView`."""
+class Drawing:
+    """The state of the drawing; not thread-safe."""
 
     def __init__(self, *, targets: Mapping[str, str], camera: CameraModel) -> None:
         self._names = tuple(targets)
@@ -56,7 +66,29 @@ class Scene:
             style = rr.SeriesLines(colors=entities.BLUE, names=title, widths=1.5)
             rec.log(f"plots/{key}", style, static=True)
 
-    def area(self, rec: rr.RecordingStream, area: AreaFrame, radius_m: float) -> None:
+    def draw(self, rec: rr.RecordingStream, event: Event) -> None:
+        """Draw an event; those of no interest are passed over."""
+        match event:
+            case Noted():
+                self._note(rec, event.time_s, f"{event.kind}: {event.text}", event.level)
+            case AreaLaid():
+                self._lay_area(rec, event.area, event.footprint_radius_m)
+            case RoadmapDrawn():
+                self._roadmap(rec, event.nodes_au, event.edges)
+            case Moved():
+                self._move(rec, event.pose)
+            case Pictured():
+                self._picture(rec, event.picture, event.detections, event.pose)
+            case Measured():
+                self._measure(rec, event)
+            case Believed():
+                self._beliefs(rec, event.time_s, event.mean, event.std)
+            case Decided():
+                self._waypoint(rec, event)
+            case TruthTold():
+                self._truth(rec, event.time_s, event.targets_au)
+
+    def _lay_area(self, rec: rr.RecordingStream, area: AreaFrame, radius_m: float) -> None:
         """Keep the area and draw its border, and the vehicle that is moved over it."""
         self._area, self._radius_m = area, radius_m
         corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=np.float64)
@@ -95,7 +127,7 @@ class Scene:
             static=True,
         )
 
-    def roadmap(self, rec: rr.RecordingStream, nodes_au: FloatArray, edges: IntArray) -> None:
+    def _roadmap(self, rec: rr.RecordingStream, nodes_au: FloatArray, edges: IntArray) -> None:
         """Draw each edge once, whatever its direction."""
         if self._area is None:
             return
@@ -117,12 +149,10 @@ class Scene:
             static=True,
         )
 
-    def pose(self, rec: rr.RecordingStream, pose: Pose) -> None:
+    def _move(self, rec: rr.RecordingStream, pose: Pose) -> None:
         """Move the vehicle, extend its trajectory and the series of speed and height."""
         self._set_time(rec, pose.time_s)
-        north_m_s, east_m_s, _ = pose.velocity_ned_m_s
-        speed_m_s = float(np.hypot(north_m_s, east_m_s))
-        rec.log("plots/ground_speed_m_s", rr.Scalars(speed_m_s))
+        rec.log("plots/ground_speed_m_s", rr.Scalars(pose.ground_speed_m_s))
         if self._area is None:
             return
         height_m = self._area.height_m(pose.position_ned_m[2])
@@ -147,7 +177,7 @@ class Scene:
             )
             self._trail = (time_s, position)
 
-    def picture(
+    def _picture(
         self,
         rec: rr.RecordingStream,
         picture: Picture,
@@ -191,9 +221,10 @@ class Scene:
         name = found.appearance if number is None else self._names[number]
         return f"{name} {found.score:.2f}"
 
-    def measurement(self, rec: rr.RecordingStream, time_s: float, measurement: Measurement) -> None:
-        """Mark what was seen and extend the series of times since."""
-        self._set_time(rec, time_s)
+    def _measure(self, rec: rr.RecordingStream, event: Measured) -> None:
+        """Mark what was seen; extend the series of times since, battery and cross-track error."""
+        time_s, measurement = event.time_s, event.measurement
+        self._series(rec, time_s, battery=event.battery, cross_track_m=event.cross_track_m)
         if self._first_s is None:
             self._first_s = time_s
         for number, name in enumerate(self._names):
@@ -219,7 +250,7 @@ class Scene:
             ),
         )
 
-    def beliefs(
+    def _beliefs(
         self, rec: rr.RecordingStream, time_s: float, mean: FloatArray, std: FloatArray
     ) -> None:
         """Show the posteriors of all targets together and one by one."""
@@ -259,18 +290,12 @@ class Scene:
         for entity in ("map/belief", *kinds):
             rec.log(entity, transform, static=True)
 
-    def waypoint(
-        self,
-        rec: rr.RecordingStream,
-        time_s: float,
-        position_au: FloatArray,
-        waypoint_au: FloatArray,
-    ) -> None:
-        """Draw the leg."""
+    def _waypoint(self, rec: rr.RecordingStream, event: Decided) -> None:
+        """Draw the leg; extend the series of decision times."""
+        self._series(rec, event.time_s, decision_ms=event.decision_ms)
         if self._area is None:
             return
-        self._set_time(rec, time_s)
-        leg = entities.au_to_map(np.stack([position_au, waypoint_au]), self._area)
+        leg = entities.au_to_map(np.stack([event.position_au, event.waypoint_au]), self._area)
         rec.log(
             "map/waypoint",
             rr.LineStrips2D(
@@ -279,7 +304,7 @@ class Scene:
             rr.Points2D(leg[1:], colors=entities.WHITE, radii=rr.Radius.ui_points(4.0)),
         )
 
-    def truth(self, rec: rr.RecordingStream, time_s: float, position_au: FloatArray) -> None:
+    def _truth(self, rec: rr.RecordingStream, time_s: float, position_au: FloatArray) -> None:
         """Draw a ring around each target."""
         if self._area is None:
             return
@@ -297,7 +322,7 @@ class Scene:
                 ),
             )
 
-    def event(self, rec: rr.RecordingStream, time_s: float | None, text: str, level: Level) -> None:
+    def _note(self, rec: rr.RecordingStream, time_s: float | None, text: str, level: Level) -> None:
         """Add a line to the log, once a vehicle time is known."""
         if time_s is not None:
             self._set_time(rec, time_s)
@@ -306,11 +331,12 @@ class Scene:
         else:
             rec.log("events", rr.TextLog(text, level=level))
 
-    def scalars(self, rec: rr.RecordingStream, time_s: float, values: Mapping[str, float]) -> None:
-        """Extend time series."""
+    def _series(self, rec: rr.RecordingStream, time_s: float, **values: float | None) -> None:
+        """Extend the time series whose value is known."""
         self._set_time(rec, time_s)
         for key, value in values.items():
-            rec.log(f"plots/{key}", rr.Scalars(value))
+            if value is not None:
+                rec.log(f"plots/{key}", rr.Scalars(value))
 
     def _set_time(self, rec: rr.RecordingStream, time_s: float) -> None:
         rec.set_time(entities.TIMELINE, duration=time_s)

@@ -1,0 +1,251 @@
+"""What is safe now: a table from the situation of a flight to what is done, and why.
+
+Pure: no clock, no waiting, no vehicle. The runner gathers situations, asks at every pose and after
+every step, and does what the first row that holds says. Rows marked `F:` leave an armed drone, or
+take one that is not ours: they are what the flight does today, and wait to be mended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class State(StrEnum):
+    """Who flies, and where to."""
+
+    PREPARING = "preparing"
+    LAUNCHING = "launching"
+    PATROLLING = "patrolling"
+    RETURNING = "returning"
+    LANDING = "landing here"
+    FAILSAFE = "failsafe lands"
+    PILOT = "the pilot flies"
+    ENDED = "ended"
+
+
+MISSION = (State.PREPARING, State.LAUNCHING, State.PATROLLING)
+HOMEWARD = (State.RETURNING, State.LANDING, State.FAILSAFE)
+
+
+class Action(StrEnum):
+    """What the runner does next."""
+
+    GO_ON = "go on with the mission"
+    LEAVE = "leave what is being done, and ask again"
+    LISTEN = "wait for a heartbeat"
+    RETURN = "ask for the return home"
+    LAND = "ask to land here"
+    DISARM = "stop the motors"
+    WATCH = "wait for the landing"
+    OFFER = "send a setpoint for the present place: PX4 lets the pilot choose offboard only then"
+    WAIT = "wait for a pose"
+    END = "do nothing more"
+
+
+class Setback(StrEnum):
+    """What went wrong with the last step."""
+
+    NONE = "none"
+    PILOT = "the pilot chose a mode"
+    FAILSAFE = "a failsafe of the autopilot chose a mode"
+    LINK_LOST = "the link is silent"
+    REFUSED = "the autopilot did not do what was asked"
+    FAILED = "anything else"
+
+
+class Reason(StrEnum):
+    """Why; one for each row of the table."""
+
+    READY = "nothing is against it"
+    LAUNCH_FAILED = "the vehicle, or what it is flown with, failed before the patrol"
+    STEP_FAILED = "the vehicle, or what it is flown with, failed on patrol"
+    INTERRUPTED = "a person asked for the return"
+    TAKEN = "the pilot chose a mode"
+    DISARMED = "the vehicle disarmed during the patrol; see what it says"
+    NO_POSITION = (
+        "the vehicle lost its absolute position (GPS?): where it is, and what it sees where, "
+        "cannot be trusted; it comes down"
+    )
+    BATTERY_LOW = "the battery is at its limit"
+    HORIZON = "the horizon is flown"
+    PLANNER_LATE = "the planner gave no waypoint in time"
+    ON_PATROL = "nothing is against the patrol"
+    TAKEN_RETURNING = "the pilot chose a mode on the way home"
+    BROKEN = "the vehicle cannot be commanded any more"
+    UNSURE = "it may have armed since the last heartbeat"
+    MOTORS_OFF = "the motors are off"
+    LOST_FOR_GOOD = "the link did not come back"
+    LOST = "the link is silent; the autopilot flies home by itself meanwhile"
+    REFUSED_FOR_GOOD = "returning and landing were refused for too long"
+    FAILSAFE_FLIES = "a failsafe flies home or lands"
+    FAILSAFE_HOVERS = "a failsafe can do nothing but hover: only down is left"
+    LAND_NOW = "a person wants it to land here"
+    COMING_DOWN = "it is on its way down"
+    RETURN_REFUSED = "what is refused at home, without GPS say, may go here"
+    LANDING_REFUSED = "what is refused here may go at home"
+    ON_GROUND = "it stands on the ground"
+    DOWN_HERE = "it lands here"
+    HOME = "it returns"
+    PILOT_FAILED = "the vehicle failed while the pilot flew"
+    PILOT_LANDED = "the pilot stopped the motors"
+    PILOT_KEEPS = "a person ended the program while the pilot flew"
+    PILOT_LOST = "the link did not come back while the pilot flew"
+    PILOT_SILENT = "the link is silent while the pilot flies"
+    GIVEN_BACK_EARLY = "given back before the patrol began: too early to go on"
+    GIVEN_BACK = "given back on patrol"
+    GIVEN_BACK_RETURNING = "given back on the way home"
+    GIVEN_BACK_LANDING = "given back while landing here"
+    PILOT_FAILSAFE = "a setpoint would end the failsafe"
+    PILOT_FLIES = "the pilot may give control back"
+    OVER = "the flight is over"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """All that the table looks at.
+
+    before: the state that the pilot or a failsafe broke into.
+    is_sure: whether heartbeats since arming was asked for say if it is armed.
+    is_coming_down: whether the mode is return or land.
+    is_down_under_way: whether the way down was confirmed, and nothing has broken it since.
+    times_interrupted: how often a person asked: once to return, twice to land here.
+    """
+
+    state: State
+    before: State
+    setback: Setback = Setback.NONE
+    is_armed: bool
+    is_sure: bool = True
+    is_on_ground: bool = False
+    is_position_good: bool = True
+    is_battery_low: bool = False
+    is_offboard: bool = False
+    is_failsafe: bool = False
+    is_coming_down: bool = False
+    is_down_under_way: bool = False
+    times_interrupted: int = 0
+    is_horizon_flown: bool = False
+    is_planner_late: bool = False
+    is_lost_for_long: bool = False
+    is_refused_for_long: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to do, why, and the state that follows."""
+
+    state: State
+    action: Action
+    reason: Reason
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A line of the table; `after` is the next state, None where it stays."""
+
+    states: tuple[State, ...]
+    holds: Callable[[Situation], bool]
+    after: State | None
+    action: Action
+    reason: Reason
+
+
+def advise(situation: Situation) -> Advice:
+    """The first row of the situation's state that holds."""
+    row = next(row for row in _ROWS[situation.state] if row.holds(situation))
+    return Advice(row.after or situation.state, row.action, row.reason)
+
+
+_PREPARING, _LAUNCHING, _PATROLLING = ((state,) for state in MISSION)
+_RETURNING, _LANDING, _FAILSAFE = ((state,) for state in HOMEWARD)
+_PILOT, _ENDED = (State.PILOT,), (State.ENDED,)
+_AIRBORNE = _LAUNCHING + _PATROLLING
+
+
+def _always(_: Situation) -> bool:
+    return True
+
+
+def _has(setback: Setback) -> Callable[[Situation], bool]:
+    return lambda s: s.setback is setback
+
+
+def _given_back(*before: State) -> Callable[[Situation], bool]:
+    return lambda s: s.is_offboard and s.before in before
+
+
+# fmt: off
+TABLE = (
+    # The mission, until something ends it.
+    # F: one that others fly is armed already, and is taken home when the preparation fails.
+    Row(_AIRBORNE, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
+    Row(_PREPARING + _LAUNCHING, lambda s: s.setback is not Setback.NONE,
+        State.RETURNING, Action.LEAVE, Reason.LAUNCH_FAILED),
+    Row(_PATROLLING, lambda s: s.setback is not Setback.NONE,
+        State.RETURNING, Action.LEAVE, Reason.STEP_FAILED),
+    Row(_PATROLLING, lambda s: not s.is_armed, State.RETURNING, Action.LEAVE, Reason.DISARMED),
+    Row(_PATROLLING, lambda s: not s.is_position_good,
+        State.RETURNING, Action.LEAVE, Reason.NO_POSITION),
+    Row(MISSION, lambda s: s.times_interrupted >= 1,
+        State.RETURNING, Action.LEAVE, Reason.INTERRUPTED),
+    Row(_PATROLLING, lambda s: s.is_battery_low, State.RETURNING, Action.LEAVE, Reason.BATTERY_LOW),
+    Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
+    Row(_PATROLLING, lambda s: s.is_planner_late,
+        State.RETURNING, Action.LEAVE, Reason.PLANNER_LATE),
+    Row(_PREPARING + _LAUNCHING, _always, None, Action.GO_ON, Reason.READY),
+    Row(_PATROLLING, _always, None, Action.GO_ON, Reason.ON_PATROL),
+
+    # The way home.
+    Row(HOMEWARD, _has(Setback.FAILED), State.ENDED, Action.END, Reason.BROKEN),  # F:
+    Row(HOMEWARD, lambda s: not s.is_armed and not s.is_sure, None, Action.LISTEN, Reason.UNSURE),
+    Row(HOMEWARD, lambda s: not s.is_armed, State.ENDED, Action.END, Reason.MOTORS_OFF),
+    Row(HOMEWARD, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
+        State.ENDED, Action.END, Reason.LOST_FOR_GOOD),  # F:
+    Row(HOMEWARD, _has(Setback.LINK_LOST), None, Action.LISTEN, Reason.LOST),
+    Row(HOMEWARD, lambda s: s.setback is Setback.REFUSED and s.is_refused_for_long,
+        State.ENDED, Action.END, Reason.REFUSED_FOR_GOOD),  # F:
+    Row(HOMEWARD, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN_RETURNING),
+    Row(HOMEWARD, lambda s: _is_failsafe_new(s) and s.is_coming_down,
+        State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_FLIES),
+    Row(HOMEWARD, lambda s: _is_failsafe_new(s),
+        State.LANDING, Action.LEAVE, Reason.FAILSAFE_HOVERS),
+    Row(_RETURNING + _FAILSAFE, lambda s: s.is_down_under_way and s.times_interrupted >= 2
+        and (s.state is State.RETURNING or s.before is not State.LANDING),
+        State.LANDING, Action.LEAVE, Reason.LAND_NOW),
+    Row(HOMEWARD, lambda s: s.is_down_under_way, None, Action.WATCH, Reason.COMING_DOWN),
+    Row(_RETURNING, _has(Setback.REFUSED), State.LANDING, Action.LEAVE, Reason.RETURN_REFUSED),
+    Row(_LANDING, lambda s: s.setback is Setback.REFUSED and s.times_interrupted < 2,
+        State.RETURNING, Action.LEAVE, Reason.LANDING_REFUSED),
+    Row(_RETURNING + _LANDING, lambda s: s.is_on_ground, None, Action.DISARM, Reason.ON_GROUND),
+    Row(_RETURNING + _LANDING, lambda s: s.times_interrupted >= 2 or s.state is State.LANDING,
+        State.LANDING, Action.LAND, Reason.DOWN_HERE),
+    Row(_RETURNING, _always, None, Action.RETURN, Reason.HOME),
+
+    # The pilot, who always wins: nothing is commanded.
+    Row(_PILOT, _has(Setback.FAILED), State.ENDED, Action.END, Reason.PILOT_FAILED),  # F:
+    Row(_PILOT, lambda s: not s.is_armed, State.ENDED, Action.END, Reason.PILOT_LANDED),
+    Row(_PILOT, lambda s: s.times_interrupted >= 2, State.ENDED, Action.END, Reason.PILOT_KEEPS),
+    Row(_PILOT, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
+        State.ENDED, Action.END, Reason.PILOT_LOST),  # F:
+    Row(_PILOT, _has(Setback.LINK_LOST), None, Action.WAIT, Reason.PILOT_SILENT),
+    Row(_PILOT, _given_back(State.LAUNCHING),
+        State.RETURNING, Action.LEAVE, Reason.GIVEN_BACK_EARLY),
+    Row(_PILOT, _given_back(State.PATROLLING), State.PATROLLING, Action.GO_ON, Reason.GIVEN_BACK),
+    Row(_PILOT, _given_back(State.RETURNING, State.FAILSAFE),
+        State.RETURNING, Action.LEAVE, Reason.GIVEN_BACK_RETURNING),
+    Row(_PILOT, _given_back(State.LANDING),
+        State.LANDING, Action.LEAVE, Reason.GIVEN_BACK_LANDING),
+    Row(_PILOT, lambda s: s.is_failsafe, None, Action.WAIT, Reason.PILOT_FAILSAFE),
+    Row(_PILOT, _always, None, Action.OFFER, Reason.PILOT_FLIES),
+
+    Row(_ENDED, _always, None, Action.END, Reason.OVER),
+)
+# fmt: on
+_ROWS = {state: [row for row in TABLE if state in row.states] for state in State}
+
+
+def _is_failsafe_new(s: Situation) -> bool:
+    """Whether a failsafe took over, or did before the link was lost and must be looked at again."""
+    return s.setback is Setback.FAILSAFE or (s.state is State.FAILSAFE and not s.is_down_under_way)

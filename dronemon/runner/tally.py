@@ -1,0 +1,39 @@
+"""What a patrol has come to so far, also across a pause."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from dronemon.types import Measurement, Pose
+
+
+@dataclass(kw_only=True)
+class Tally:
+    """The patrol's figures; they grow as it is flown.
+
+    start_s: vehicle time at which it began; times_s: of each measurement; progress: vehicle time
+    and distance flown at each setpoint.
+    """
+
+    start_s: float
+    flown_m: float = 0.0
+    duration_s: float = 0.0
+    measurements: list[Measurement] = field(default_factory=list)
+    times_s: list[float] = field(default_factory=list)
+    last_seen_s: dict[str, float] = field(default_factory=dict)
+    num_pictures_due: int = 0
+    progress: list[tuple[float, float]] = field(default_factory=list)
+    decision_ms: list[float] = field(default_factory=list)
+    cross_track_m: list[float] = field(default_factory=list)
+
+    def move(self, last: Pose, pose: Pose) -> None:
+        """Count the way between two poses: the integral of ground speed, so errors do not add."""
+        duration_s = pose.time_s - last.time_s
+        self.flown_m += pose.ground_speed_m_s * duration_s
+        self.duration_s += duration_s
+
+    def since_seen_s(self, names: tuple[str, ...], now_s: float) -> Mapping[str, float | None]:
+        """Seconds since each target was seen; None: never."""
+        last_s = self.last_seen_s
+        return {name: now_s - last_s[name] if name in last_s else None for name in names}
