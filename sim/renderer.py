@@ -160,7 +160,7 @@ def _warp(
 def _stamp(
     image: ImageArray,
     view: _View,
-    levels: tuple[ImageArray, ...],
+    pyramid: tuple[ImageArray, ...],
     *,
     at: tuple[float, float, float],
     height_m: float,
@@ -168,12 +168,12 @@ def _stamp(
 ) -> None:
     """Lay one layer of a sprite into the picture.
 
-    levels: (rows, columns, 4) BGRA, premultiplied, at each half of the resolution before
-    at:     north, east in m from the vehicle, heading in rad
+    pyramid: (rows, columns, 4) BGRA, premultiplied, at each half of the resolution before
+    at:      north, east in m from the vehicle, heading in rad
     """
     if view.height_m - height_m < _MIN_HEIGHT_M:
         return
-    rows, columns = levels[0].shape[:2]
+    rows, columns = pyramid[0].shape[:2]
     homography = view.homography(height_m) @ _ground_from_sprite(rows, columns, at)
     corners = np.array([[0, 0, 1], [columns, 0, 1], [columns, rows, 1], [0, rows, 1]])
     projected = (corners - [0.5, 0.5, 0.0]) @ homography.T
@@ -185,12 +185,12 @@ def _stamp(
     if left >= right or top >= bottom:
         return
     texels_per_px = math.sqrt(rows * columns / max(cv2.contourArea(points.astype(np.float32)), 1.0))
-    level = min(max(round(math.log2(texels_per_px)), 0), len(levels) - 1)
+    level = min(max(round(math.log2(texels_per_px)), 0), len(pyramid) - 1)
     shrunk = np.diag([2.0**-level, 2.0**-level, 1.0])
     shrunk[:2, 2] = 0.5 * (2.0**-level - 1.0)
     moved = np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
     layer = _warp(
-        levels[level],
+        pyramid[level],
         shrunk @ np.linalg.inv(homography) @ moved,
         (int(right - left), int(bottom - top)),
         cv2.BORDER_CONSTANT,
