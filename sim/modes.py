@@ -17,11 +17,6 @@ class Px4Mode(IntEnum):
     LAND = 4 << 16 | 6 << 24
 
     @property
-    def is_auto(self) -> bool:
-        """Whether the autopilot itself decides where to go."""
-        return (self >> 16) & 0xFF == 4
-
-    @property
     def is_manual(self) -> bool:
         """Whether a pilot's sticks decide."""
         return self in (Px4Mode.ALTCTL, Px4Mode.POSCTL)

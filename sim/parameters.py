@@ -87,9 +87,6 @@ class Parameters:
     def __getitem__(self, name: str) -> float:
         return self._values[name]
 
-    def __len__(self) -> int:
-        return len(TABLE)
-
     def index(self, name: str) -> int | None:
         """Place in the list; None if there is no such parameter."""
         return _INDEX.get(name)
