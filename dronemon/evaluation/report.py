@@ -93,36 +93,29 @@ def _write_csv(path: Path, records: list[dict[str, str]]) -> None:
 
 def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
     """Columns of the paper's table first, then standard errors and what else was measured."""
-    records = []
-    for row in rows:
-        estimates = {name: row.figures.get(name, UNKNOWN) for name in FIGURES}
-        extra = 1 if row.instances else 0
-        means = {
-            name: _number(value.mean, name, extra_digits=extra) for name, value in estimates.items()
+    others = [name for name in FIGURES if name not in PAPER_FIGURES]
+    return [
+        {
+            "targets": str(row.cell.num_targets),
+            "speed_ratio": str(row.cell.speed_ratio),
+            "method": row.method,
+            **_columns(row, PAPER_FIGURES),
+            "prior": row.cell.prior,
+            "instances": str(row.instances) if row.instances else "",
+            **_columns(row, others),
+            "decision_ms": _number(row.decision_s * 1e3, "decision_ms"),
         }
-        errors = {
-            f"{name}_se": _number(value.standard_error, name, extra_digits=1)
-            for name, value in estimates.items()
-        }
-        records.append(
-            {
-                "targets": str(row.cell.num_targets),
-                "speed_ratio": str(row.cell.speed_ratio),
-                "method": row.method,
-                **{name: means[name] for name in PAPER_FIGURES},
-                **{f"{name}_se": errors[f"{name}_se"] for name in PAPER_FIGURES},
-                "prior": row.cell.prior,
-                "instances": str(row.instances) if row.instances else "",
-                **{name: means[name] for name in FIGURES if name not in PAPER_FIGURES},
-                **{
-                    f"{name}_se": errors[f"{name}_se"]
-                    for name in FIGURES
-                    if name not in PAPER_FIGURES
-                },
-                "decision_ms": _number(row.decision_s * 1e3, "decision_ms"),
-            }
-        )
-    return records
+        for row in rows
+    ]
+
+
+def _columns(row: Row, names: Sequence[str]) -> dict[str, str]:
+    """Figures of a row, then their standard errors."""
+    extra = 1 if row.instances else 0
+    figures = {name: row.figures.get(name, UNKNOWN) for name in names}
+    means = {n: _number(value.mean, n, extra_digits=extra) for n, value in figures.items()}
+    errors = {n: _number(value.standard_error, n, extra_digits=1) for n, value in figures.items()}
+    return {**means, **{f"{name}_se": text for name, text in errors.items()}}
 
 
 def _difference_records(differences: Iterable[Difference]) -> list[dict[str, str]]:

@@ -27,7 +27,6 @@ from dronemon.planner.search import SearchSettings
 from dronemon.policy import (
     Card,
     PolicyNetwork,
-    Scope,
     load_checkpoint,
     read_tensors,
     save_checkpoint,
@@ -107,13 +106,6 @@ class ExpertConfig:
     history: Counts = (50, 100)
     num_targets: Counts = (2, 8)
     finish: PpoConfig = FINISH
-
-    @property
-    def scope(self) -> Scope:
-        """What a network that learned so was trained for."""
-        return Scope(
-            num_targets=self.num_targets, num_nodes=self.num_nodes, speed_ratio=self.speed_ratio
-        )
 
     @property
     def value_weight(self) -> float:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
 from dronemon.env import Env, Setup
-from dronemon.policy import PolicyNetwork, Scope, Segment, Verdict
+from dronemon.policy import PolicyNetwork, Segment, Verdict
 from dronemon.problem import FIRST_TRAINING_SEED
 from dronemon.training.gae import advantages
 from dronemon.training.peers import Peers
@@ -76,15 +76,6 @@ class PpoConfig:
     reward_scale: float = 5.0
     decision_cost: float = 0.1
     precision: Precision = "float32"
-
-    @property
-    def scope(self) -> Scope:
-        """What a network that learned so was trained for."""
-        return Scope(
-            num_targets=self.num_targets,
-            num_nodes=self.num_nodes,
-            speed_ratio=(0.0, self.max_speed_ratio),
-        )
 
 
 class Ppo:

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, create_model
 
 from dronemon.errors import MissionFileError, OptionError, PolicyError
 from dronemon.mission.document import Document
-from dronemon.policy import NetworkConfig
+from dronemon.policy import NetworkConfig, Scope
 from dronemon.training.imitation import ExpertConfig
 from dronemon.training.ppo import PpoConfig
 
@@ -39,6 +39,13 @@ class Recipe:
         """Every value, as a file would hold it."""
         as_read: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         return as_read
+
+    @property
+    def scope(self) -> Scope:
+        """What a network that learned so was trained for."""
+        how = self.settings
+        speeds = (0.0, how.max_speed_ratio) if isinstance(how, PpoConfig) else how.speed_ratio
+        return Scope(num_targets=how.num_targets, num_nodes=how.num_nodes, speed_ratio=speeds)
 
     @property
     def text(self) -> str:

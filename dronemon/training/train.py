@@ -300,7 +300,7 @@ def _keep(
         settings=plan.recipe.facts["settings"],
         curve=tuple(run.curve or ()),
         scores={name: value for name, value in row.items() if name.startswith("val_")},
-        scope=plan.recipe.settings.scope,
+        scope=plan.recipe.scope,
     )
     save_checkpoint(plan.out / "best.pt", network, card)
     (plan.out / "best.md").write_text(card.markdown("best", network.config), encoding="utf-8")

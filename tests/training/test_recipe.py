@@ -45,7 +45,7 @@ def test_the_shipped_recipes_are_the_papers_ours_and_that_of_the_shipped_weights
     shipped, recipe = load_checkpoint(find_checkpoint(None)), load_recipe("stamp")
     assert recipe.network == shipped.network.config
     assert recipe.facts["settings"] == shipped.card.settings
-    assert recipe.settings.scope == shipped.card.scope
+    assert recipe.scope == shipped.card.scope
 
 
 @pytest.mark.parametrize(
