@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
+from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -16,7 +18,7 @@ from dronemon.events import TruthTold
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
 from dronemon.preflight import make_planner
-from dronemon.recorder import SIMULATOR_LOG, TRUTH_FILE, RunRecorder
+from dronemon.recorder import MISSION_FILE, SIMULATOR_LOG, TRUTH_FILE, RunFolder, RunRecorder
 from dronemon.runner import (
     FlightResult,
     FlightSetup,
@@ -97,36 +99,10 @@ async def _with_everything(
     folder, mission = recorder.folder, file.mission
     detector = make_detector(mission)
     async with contextlib.AsyncExitStack() as stack:
-        sim: Simulator | None = None
-        try:
-            async with asyncio.TaskGroup() as group:
-                group.create_task(
-                    rehearse(mission, detector, planner, interrupts), name="rehearsal"
-                )
-                if mission.vehicle.is_mock or follow:
-                    sim = await stack.enter_async_context(
-                        simulator(
-                            folder.path / "mission.yaml",
-                            truth=folder.path / TRUTH_FILE,
-                            log=folder.path / SIMULATOR_LOG,
-                            follow=follow,
-                        )
-                    )
-        except BaseExceptionGroup as group_error:
-            # The first failure cancelled the other.
-            raise group_error.exceptions[0] from None
+        rehearsal = rehearse(mission, detector, planner, interrupts)
+        sim = await _start(mission, folder, stack, follow, rehearsal)
         priors_au = _priors(mission, sim)
-        view = stack.enter_context(
-            FlightView(
-                folder.rrd_path,
-                title=mission.name,
-                targets={target.name: target.appearance for target in mission.targets},
-                camera=mission.camera.model,
-                side_m=mission.area.side_m,
-                live=mission.view.live,
-                port=mission.view.port,
-            )
-        )
+        view = stack.enter_context(_view(mission, folder))
         if view.url:
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
@@ -148,6 +124,45 @@ async def _with_everything(
         for time_s, targets_au in truth.items():
             view.take(TruthTold(time_s=time_s, targets_au=targets_au))
     return result, truth, priors_au
+
+
+async def _start(
+    mission: Mission,
+    folder: RunFolder,
+    stack: contextlib.AsyncExitStack,
+    follow: str | None,
+    rehearsal: Coroutine[Any, Any, None],
+) -> Simulator | None:
+    """Rehearse while the simulator, where there is one, starts."""
+    sim: Simulator | None = None
+    try:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(rehearsal, name="rehearsal")
+            if mission.vehicle.is_mock or follow:
+                sim = await stack.enter_async_context(
+                    simulator(
+                        folder.path / MISSION_FILE,
+                        truth=folder.path / TRUTH_FILE,
+                        log=folder.path / SIMULATOR_LOG,
+                        follow=follow,
+                    )
+                )
+    except BaseExceptionGroup as group_error:
+        # The first failure cancelled the other.
+        raise group_error.exceptions[0] from None
+    return sim
+
+
+def _view(mission: Mission, folder: RunFolder) -> FlightView:
+    return FlightView(
+        folder.rrd_path,
+        title=mission.name,
+        targets={target.name: target.appearance for target in mission.targets},
+        camera=mission.camera.model,
+        side_m=mission.area.side_m,
+        live=mission.view.live,
+        port=mission.view.port,
+    )
 
 
 def _priors(mission: Mission, sim: Simulator | None) -> FloatArray:
