@@ -10,7 +10,7 @@ import contextlib
 import json
 import socket
 import sys
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +39,7 @@ class Simulator:
 
 @contextlib.asynccontextmanager
 async def simulator(
-    mission_file: Path, *, truth: Path, log: Path, follow: str | None, extra: Sequence[str] = ()
+    mission_file: Path, *, truth: Path, log: Path, follow: str | None
 ) -> AsyncIterator[Simulator]:
     """Run `python -m sim` on free loopback ports while the body runs.
 
@@ -49,17 +49,7 @@ async def simulator(
     port = _free_udp_port()
     where = ["--follow", follow] if follow else ["--mavlink-out", f"127.0.0.1:{port}"]
     # -P: a `sim` that happens to lie in the current folder is not ours.
-    command = [
-        "-P",
-        "-m",
-        "sim",
-        str(mission_file),
-        *where,
-        "--truth",
-        str(truth),
-        "--parent",
-        *extra,
-    ]
+    command = ["-P", "-m", "sim", str(mission_file), *where, "--truth", str(truth), "--parent"]
     with log.open("wb") as log_file:
         process = await asyncio.create_subprocess_exec(
             sys.executable,
