@@ -26,6 +26,7 @@ from dronemon.belief import Belief
 from dronemon.planner import Briefing, Snapshot
 from dronemon.planner.registry import create_planner
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.world import Instance
 from dronemon.world.sensing import measure
 
@@ -72,10 +73,9 @@ def decision_ms(planner_name: str, seed: int) -> np.ndarray:
     instance = Instance.draw(seed, NUM_TARGETS)
     rng = instance.stream("roadmap")
     roadmap = Roadmap.random(NUM_NODES, NUM_NEIGHBOURS, rng, instance.start_au)
-    belief, planner = Belief(NUM_TARGETS), create_planner(planner_name)
+    planner = create_planner(planner_name)
     priors_au = instance.paths.positions_au(0.0)
-    for index, prior_au in enumerate(priors_au):
-        belief.add_prior(index, prior_au)
+    belief = Belief(Sightings(priors_au))
     planner.reset(
         Briefing(
             num_targets=NUM_TARGETS,
@@ -96,16 +96,17 @@ def decision_ms(planner_name: str, seed: int) -> np.ndarray:
             time_au, position_au, instance.paths.positions_au(SPEED_RATIO * time_au)
         )
         began = time.perf_counter()
-        belief.add(measurement)
+        belief.sightings.add(measurement)
         for ahead_au in (0.0, 2.0):
             when = np.full((roadmap.num_nodes, 1), time_au + ahead_au)
             belief.posterior(np.concatenate([roadmap.nodes_au, when], axis=1))
         waypoint = planner.next_waypoint(
             Snapshot(
                 time_au=time_au,
+                flown_au=time_au,
                 position_au=position_au,
                 node=node,
-                measurements=(measurement,),
+                sightings=belief.sightings,
                 belief=belief,
                 roadmap=roadmap,
                 remaining_au=30.0 - time_au,

@@ -58,9 +58,7 @@ async def assemble_and_fly(
     console.print("getting ready (the first time code is compiled, for about 15 s)")
     with recorder:
         try:
-            result, truth, priors_au = await _with_everything(
-                file, planner, follow, recorder, _interrupts()
-            )
+            result, truth = await _with_everything(file, planner, follow, recorder, _interrupts())
         except BaseException as exc:
             if recorder.is_empty and SIMULATOR_LOG not in str(exc):  # else one is sent there
                 recorder.discard()
@@ -70,7 +68,6 @@ async def assemble_and_fly(
         summary = summarise(
             result,
             truth=truth,
-            priors_au=priors_au,
             side_m=mission.area.side_m,
             target_names=names,
             kernel=mission_kernel(mission),
@@ -94,7 +91,7 @@ async def _with_everything(
     follow: str | None,
     recorder: RunRecorder,
     interrupts: Interrupts,
-) -> tuple[FlightResult, dict[float, FloatArray], FloatArray]:
+) -> tuple[FlightResult, dict[float, FloatArray]]:
     """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
     folder, mission = recorder.folder, file.mission
     detector = make_detector(mission)
@@ -123,7 +120,7 @@ async def _with_everything(
         truth = read_truth(sim.truth) if sim else {}
         for time_s, targets_au in truth.items():
             view.take(TruthTold(time_s=time_s, targets_au=targets_au))
-    return result, truth, priors_au
+    return result, truth
 
 
 async def _start(

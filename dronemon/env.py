@@ -22,7 +22,6 @@ from dronemon.policy import Graphs, Tracks, belief_features
 from dronemon.problem import (
     MEASUREMENT_INTERVAL_AU,
     SENSOR_RADIUS_AU,
-    WINDOW_TIME_SCALES,
     Prior,
 )
 from dronemon.roadmap import Roadmap, laplacian_encoding
@@ -128,7 +127,7 @@ class Env:
         self._store = ObservationStore(
             batch,
             num_targets,
-            window_au=WINDOW_TIME_SCALES * self._kernel.length_scales_au[2],
+            window_au=self._kernel.window_au,
             dtype=self._dtype,
             device=self._device,
         )

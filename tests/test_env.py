@@ -12,6 +12,7 @@ from dronemon.belief.metrics import area_std
 from dronemon.env import Env, Setup
 from dronemon.policy import belief_features
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.world import Instance, TargetPaths, measure, sample_leg
 
 
@@ -59,10 +60,9 @@ class Walker:
         self.roadmap = Roadmap.random(
             setup.num_nodes, 10, instance.stream("roadmap"), instance.start_au
         )
-        self.belief = Belief(setup.num_targets)
+        self.sightings = Sightings(self.paths.positions_au(0.0))
+        self.belief = Belief(self.sightings)
         self.position, self.time, self.residual, self.num_measured = instance.start_au, 0.0, 0.0, 0
-        for i, place in enumerate(self.paths.positions_au(0.0)):
-            self.belief.add_prior(i, place)
 
     def fly(self, node):
         goal = self.roadmap.nodes_au[node]
@@ -70,7 +70,7 @@ class Walker:
         for offset, position in zip(leg.offsets_au, leg.positions_au, strict=True):
             time = self.time + offset
             targets = self.paths.positions_au(self.setup.speed_ratio * time)
-            self.belief.add(measure(time, position, targets))
+            self.sightings.add(measure(time, position, targets))
             self.num_measured += 1
         self.time += float(np.linalg.norm(goal - self.position))
         self.position, self.residual = goal, leg.residual_au
@@ -86,7 +86,7 @@ class Walker:
     def area_std(self):
         targets = torch.as_tensor(self.paths.positions_au(self.setup.speed_ratio * self.time))
         time = torch.full(targets.shape[:1], self.time, dtype=torch.float64)
-        return area_std(self.belief._posterior, targets[None], time[None])[0]
+        return area_std(self.belief.process, targets[None], time[None])[0]
 
 
 def test_environment_equals_one_vehicle_over_many_short_legs():

@@ -14,8 +14,10 @@ LAYERS = {
     "frames": 0,
     "clock": 0,
     "events": 0,
+    "arena": 0,
     "mission": 0,
     "workers": 0,
+    "sightings": 1,
     "belief": 1,
     "roadmap": 1,
     "policy": 1,
@@ -46,6 +48,7 @@ ORDER_IN_LAYER_0 = (
     "frames",
     "clock",
     "events",
+    "arena",
     "mission",
     "workers",
 )
@@ -86,6 +89,8 @@ def _may_import(importer: str, imported: str) -> bool:
         return True
     if layer == 0:
         return imported in ORDER_IN_LAYER_0[: ORDER_IN_LAYER_0.index(importer)]
+    if imported == "sightings":  # the one log, which all above may read
+        return layer >= 1
     if importer == "runner":
         return other <= 3
     if layer in ALLOWED:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from dronemon.belief.compiled import fill
-from dronemon.problem import LENGTH_SCALE_AU, TIME_SCALE_AU
+from dronemon.problem import LENGTH_SCALE_AU, TIME_SCALE_AU, WINDOW_TIME_SCALES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +25,11 @@ class Matern32:
         LENGTH_SCALE_AU,
         TIME_SCALE_AU,
     )
+
+    @property
+    def window_au(self) -> float:
+        """Age from which an observation no longer counts."""
+        return WINDOW_TIME_SCALES * self.length_scales_au[2]
 
     def __call__(self, a: Tensor, b: Tensor) -> Tensor:
         """Covariance of two sets of points.

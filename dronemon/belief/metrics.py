@@ -24,7 +24,6 @@ from dronemon.problem import (
     LOST_STD,
     PRESENCE_STD_AU,
     SENSOR_RADIUS_AU,
-    WINDOW_TIME_SCALES,
     Prior,
 )
 from dronemon.types import BoolArray, FloatArray
@@ -180,12 +179,11 @@ def episode_metrics(
     """
     kernel = kernel if kernel is not None else Matern32()
     history = _History.of(time_au, agent_au, targets_au, observed, prior)
-    window_au = WINDOW_TIME_SCALES * kernel.length_scales_au[2]
     grid = evaluation_grid()
     unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
     for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
         block = torch.arange(start, min(start + _INSTANTS_AT_ONCE, len(time_au)))
-        posterior = fit(*history.windows(block, window_au), kernel=kernel)  # (block, N)
+        posterior = fit(*history.windows(block, kernel.window_au), kernel=kernel)  # (block, N)
         now_au, truth_au = history.time_au[block], history.targets_au[block]
         unc[block] = area_std(posterior, truth_au, now_au[:, None].expand(truth_au.shape[:-1]))
         instant_au = now_au[:, None, None].expand(-1, len(grid), 1)

@@ -1,20 +1,18 @@
 """Observations and their forgetting: what each Gaussian process is conditioned on.
 
 `ObservationStore` holds many episodes at once, for learning; `Belief` is the single vehicle's view
-of one, for flight and planners.
+of one, for flight and planners. Both give the same windows, which a test holds them to.
 """
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.kernel import Matern32
-from dronemon.errors import BeliefError
-from dronemon.problem import WINDOW_TIME_SCALES
-from dronemon.types import FloatArray, Measurement
+from dronemon.sightings import Sightings
+from dronemon.types import FloatArray
 
 DEFAULT_CAPACITY = 60
 """Measurements in a window of 1.993 · 3 au at one per 0.1 au."""
@@ -103,17 +101,6 @@ class ObservationStore:
         self._values[at] = torch.where(keep, seen.to(point.dtype), self._values[at])
         self._is_filled[at] |= keep
 
-    def add_target(self) -> None:
-        """Let one more target join every episode; past measurements count as not having seen it."""
-        point = torch.cat([self._agent_au, self._measured_au[..., None]], dim=-1)[:, None]
-        is_filled = torch.isfinite(self._measured_au)[:, None]
-        pad = torch.nn.functional.pad  # in front, the new target's empty prior
-        self._points = torch.cat([self._points, pad(point, (0, 0, 1, 0))], dim=1)
-        self._values = torch.cat(
-            [self._values, pad(torch.zeros_like(point[..., 0]), (1, 0))], dim=1
-        )
-        self._is_filled = torch.cat([self._is_filled, pad(is_filled, (1, 0))], dim=1)
-
     def window(self) -> tuple[Tensor, Tensor, Tensor]:
         """Observations that still count at the time of each episode's last measurement.
 
@@ -135,78 +122,42 @@ class ObservationStore:
 
 
 class Belief:
-    """What one vehicle believes about all its targets, from the measurements it was given.
+    """What one vehicle believes about all its targets: read off the mission's log of sightings.
 
-    The belief changes only when something is added; the fit is kept until then.
+    The fit is kept until the log grows.
     """
 
-    def __init__(self, num_targets: int, kernel: Matern32 | None = None) -> None:
+    def __init__(self, sightings: Sightings, kernel: Matern32 | None = None) -> None:
+        self.sightings = sightings
         self.kernel = kernel if kernel is not None else Matern32()
-        window_au = WINDOW_TIME_SCALES * self.kernel.length_scales_au[2]
-        self._store = ObservationStore(1, num_targets, window_au=window_au)
-        self._time_au = 0.0
         self._posterior: Posterior | None = None
+        self._num_read = -1
 
     @property
     def num_targets(self) -> int:
         """Targets believed in."""
-        return self._store.num_targets
+        return self.sightings.num_targets
 
-    def add(self, measurement: Measurement) -> None:
-        """Take in what the sensor said about every target.
-
-        Raises BeliefError if it is older than the last one, not finite, or about another number
-        of targets.
-        """
-        seen, target_au = measurement.seen, measurement.target_au
-        if seen.shape != (self.num_targets,) or target_au.shape != (self.num_targets, 2):
-            raise BeliefError(
-                f"measurement of {seen.shape[0]} targets given to a belief of {self.num_targets};"
-                " call add_target() for each one that joins"
-            )
-        if not measurement.time_au >= self._time_au:
-            raise BeliefError(
-                f"measurement at {measurement.time_au:g} au given after {self._time_au:g} au;"
-                " add measurements in the order of their time"
-            )
-        if not (np.isfinite(measurement.agent_au).all() and np.isfinite(target_au[seen]).all()):
-            raise BeliefError(
-                f"measurement at {measurement.time_au:g} au has positions that are not finite:"
-                f" agent {measurement.agent_au}, targets seen {target_au[seen].tolist()}"
-            )
-        self._store.add(
-            torch.tensor([measurement.time_au], dtype=torch.float64),
-            torch.as_tensor(measurement.agent_au, dtype=torch.float64)[None],
-            torch.as_tensor(seen)[None],
-            torch.as_tensor(target_au, dtype=torch.float64)[None],
-        )
-        self._time_au = measurement.time_au
-        self._posterior = None
-
-    def add_prior(self, index: int, position_au: FloatArray, time_au: float = 0.0) -> None:
-        """Tell where a target was before the first measurement. position_au: (2,) au."""
-        known = torch.zeros((1, self.num_targets), dtype=torch.bool)
-        known[0, index] = True
-        target_au = torch.as_tensor(position_au, dtype=torch.float64).expand(1, *known.shape[1:], 2)
-        self._store.add_prior(known, target_au, time_au)
-        self._posterior = None
-
-    def add_target(self) -> int:
-        """Let a target join that was not known of before. -> its index.
-
-        Measurements still in the window count as not having seen it.
-        """
-        self._store.add_target()
-        self._posterior = None
-        return self.num_targets - 1
+    @property
+    def process(self) -> Posterior:
+        """The fitted processes, of shape (1, N)."""
+        if self._posterior is None or self._num_read < len(self.sightings):
+            window = self.sightings.window(self.kernel.window_au)
+            points, values, mask = (torch.as_tensor(array)[None] for array in window)
+            self._posterior = fit(points, values, mask, kernel=self.kernel)
+            self._num_read = len(self.sightings)
+        return self._posterior
 
     def posterior(self, query_au: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Posterior of every target at the same points.
 
-        query_au: (Q, 3) au x, y, t -> mean, std, both (N, Q).
+        query_au: (Q, 3) float64 au x, y, t
+        -> mean, std, both (N, Q)
         """
-        if self._posterior is None:
-            self._posterior = fit(*self._store.window(), kernel=self.kernel)
-        query = torch.as_tensor(query_au, dtype=torch.float64)
-        mean, std = self._posterior.predict(query)
+        mean, std = self.process.predict(torch.as_tensor(query_au, dtype=torch.float64))
         return mean[0].numpy(), std[0].numpy()
+
+    def mean(self, query_au: FloatArray) -> FloatArray:
+        """Posterior mean alone. query_au: (Q, 3) float64 au x, y, t -> (N, Q)."""
+        mean = self.process.mean(torch.as_tensor(query_au, dtype=torch.float64))
+        return mean[0].numpy()

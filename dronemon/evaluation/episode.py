@@ -17,6 +17,7 @@ from dronemon.errors import PlannerError
 from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, Prior
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.types import BoolArray, FloatArray, Measurement
 from dronemon.world import Instance, measure, sample_leg
 
@@ -104,8 +105,8 @@ def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) ->
     agent = _Agent(instance.start_au, targets_at, conditions, told)
     planner.reset(
         Briefing(
-            num_targets=agent.knowledge.num_known,
-            priors_au=agent.knowledge.priors_au,
+            num_targets=agent.knowledge.sightings.num_targets,
+            priors_au=agent.knowledge.sightings.priors_au,
             start_au=instance.start_au,
             horizon_au=conditions.horizon_au,
             rng=instance.stream("planner"),
@@ -141,7 +142,6 @@ class _Agent:
         self._residual_au = 0.0
         self._node: int | None = 0  # the roadmap's first node is the start
         self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
-        self._news: list[Measurement] = []
         self.knowledge = _Knowledge(self._targets_au[0], told)
 
     @property
@@ -150,14 +150,14 @@ class _Agent:
         return len(self._agent_au) == len(self._times_au)
 
     def snapshot(self, roadmap: Roadmap) -> Snapshot:
-        """Give what is known now, and what was measured since this was last asked."""
-        news, self._news = tuple(self._news), []
+        """Give what is known now. At unit speed the distance flown is the time."""
         time_au = float(self._times_au[len(self._agent_au) - 1]) + self._residual_au
         return Snapshot(
             time_au=time_au,
+            flown_au=time_au,
             position_au=self._position_au,
             node=self._node,
-            measurements=news,
+            sightings=self.knowledge.sightings,
             belief=self.knowledge.belief,
             roadmap=roadmap,
             remaining_au=max(0.0, self._conditions.horizon_au - time_au),
@@ -177,7 +177,7 @@ class _Agent:
             truth = measure(float(self._times_au[index]), position_au, self._targets_au[index])
             self._agent_au.append(position_au)
             self._observed.append(truth.seen)
-            self._news.append(self.knowledge.take(truth))
+            self.knowledge.take(truth)
         self._position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
 
     def episode(self, decisions_s: FloatArray) -> Episode:
@@ -194,35 +194,24 @@ class _Agent:
 class _Knowledge:
     """What the agent knows of the targets: which of the true ones, in which order, and its belief.
 
-    first_au: (N, 2) true positions at the start
+    first_au: (N, 2) au true positions at the start
     """
 
     def __init__(self, first_au: FloatArray, prior: Prior) -> None:
-        everyone = list(range(len(first_au)))
-        self._known = [] if prior == "none" else everyone
+        self._known = [] if prior == "none" else list(range(len(first_au)))
         places_au = first_au if prior == "full" else np.full_like(first_au, np.nan)
-        self.priors_au = places_au[self._known]
-        self.belief = Belief(len(self._known))
-        if prior == "full":
-            for target in everyone:
-                self.belief.add_prior(target, first_au[target])
+        self.sightings = Sightings(places_au[self._known])
+        self.belief = Belief(self.sightings)
 
-    @property
-    def num_known(self) -> int:
-        """Targets known of."""
-        return len(self._known)
-
-    def take(self, truth: Measurement) -> Measurement:
-        """Let targets join that are seen for the first time; tell what was seen of those known."""
-        for target in np.flatnonzero(truth.seen).tolist():
-            if target not in self._known:
-                self._known.append(target)
-                self.belief.add_target()
-        told = Measurement(
-            time_au=truth.time_au,
-            agent_au=truth.agent_au,
-            seen=truth.seen[self._known],
-            target_au=truth.target_au[self._known],
+    def take(self, truth: Measurement) -> None:
+        """Let targets join that are seen for the first time; log what was seen of those known."""
+        seen = np.flatnonzero(truth.seen).tolist()
+        self._known += [target for target in seen if target not in self._known]
+        self.sightings.add(
+            Measurement(
+                time_au=truth.time_au,
+                agent_au=truth.agent_au,
+                seen=truth.seen[self._known],
+                target_au=truth.target_au[self._known],
+            )
         )
-        self.belief.add(told)
-        return told

@@ -15,12 +15,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.belief.metrics import GRID_SIZE
 from dronemon.evaluation.episode import Episode
 from dronemon.evaluation.options import Cell
 from dronemon.evaluation.results import Result
 from dronemon.problem import LOST_STD, MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
+from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
 
 LINE_STYLES = {"full": "-", "number": "--", "none": ":"}
@@ -118,14 +120,13 @@ def draw_overview(episode: Episode, instant: int, title: str, path: Path) -> Non
 def believe(episode: Episode, instant: int) -> FloatArray:
     """Mean of every target's belief at one measurement. -> (N, 40, 40), x first."""
     num_targets = episode.targets_au.shape[1]
-    belief = Belief(num_targets)
-    if episode.conditions.prior == "full":
-        for target, place_au in enumerate(episode.targets_au[0]):
-            belief.add_prior(target, place_au)
+    first_au = episode.targets_au[0]
+    is_placed = episode.conditions.prior == "full"
+    sightings = Sightings(first_au if is_placed else np.full_like(first_au, np.nan))
     times_au = episode.times_au
     for index in range(1, instant + 1):
         seen = episode.observed[index]
-        belief.add(
+        sightings.add(
             Measurement(
                 time_au=float(times_au[index]),
                 agent_au=episode.agent_au[index],
@@ -133,10 +134,9 @@ def believe(episode: Episode, instant: int) -> FloatArray:
                 target_au=np.where(seen[:, None], episode.targets_au[index], np.nan),
             )
         )
-    axis = np.linspace(0.0, 1.0, GRID_SIZE)
-    points_au = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    points_au = ARENA.grid(GRID_SIZE)
     now_au = np.full((len(points_au), 1), times_au[instant])
-    mean, _ = belief.posterior(np.concatenate([points_au, now_au], axis=1))
+    mean = Belief(sightings).mean(np.concatenate([points_au, now_au], axis=1))
     return mean.reshape(num_targets, GRID_SIZE, GRID_SIZE)
 
 

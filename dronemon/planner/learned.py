@@ -8,8 +8,6 @@ encodes one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 
@@ -26,7 +24,7 @@ from dronemon.policy import (
 )
 from dronemon.problem import Prior
 from dronemon.roadmap import Roadmap, laplacian_encoding
-from dronemon.types import Measurement
+from dronemon.sightings import Sightings
 
 
 class LearnedPlanner:
@@ -79,6 +77,7 @@ class LearnedPlanner:
         )
         self._memory = History(self._network, self._graphs, self._history)
         self._tracks = Tracks(1, briefing.num_targets)
+        self._num_read = 0
         priors_au = torch.as_tensor(briefing.priors_au.reshape(1, -1, 2))
         is_placed = priors_au.isfinite().all(-1)
         self._tracks.add_prior(is_placed, priors_au)
@@ -93,7 +92,7 @@ class LearnedPlanner:
             target_mask,
             time_au,
             torch.tensor([node]),
-            self._follow(snapshot.measurements, time_au, target_mask.shape[1]),
+            self._follow(snapshot.sightings, time_au, target_mask.shape[1]),
         )
         logits = verdict.logits[0, 0]
         allowed = self._graphs.neighbour_mask[0, node]
@@ -110,10 +109,10 @@ class LearnedPlanner:
         )
 
     def _follow(
-        self, measurements: Sequence[Measurement], time_au: torch.Tensor, num_targets: int
+        self, sightings: Sightings, time_au: torch.Tensor, num_targets: int
     ) -> torch.Tensor:
         """Take in what was measured since the last decision. -> tracks (1, N, T)."""
-        for measurement in measurements:
+        for measurement in sightings.since(self._num_read):
             self._tracks.widen(len(measurement.seen))
             self._tracks.add(
                 torch.tensor([measurement.time_au], dtype=torch.float64),
@@ -122,6 +121,7 @@ class LearnedPlanner:
                 torch.as_tensor(measurement.target_au)[None],
                 torch.ones(1, dtype=torch.bool),
             )
+        self._num_read = len(sightings)
         self._tracks.widen(num_targets)
         return self._tracks.features(time_au)
 

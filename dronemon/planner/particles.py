@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
+from dronemon.arena import ARENA
 from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.sightings import Sight, Sightings
 from dronemon.types import FloatArray, IntArray, Measurement
 
 TURNS_PER_AU = 8.5
@@ -26,6 +28,10 @@ TURN_QUANTILES_RAD = np.radians(
 _TRIES = 8
 _REGENERATIONS = 1500
 """Most walks tried anew for one target and measurement; bounds the time of a decision."""
+_NUM_SIGHTS = 6
+"""Sights of a target that tell its speed and heading."""
+_MOST_MISSES = 64
+"""Misses since the last sight up to which particles are walked anew from there."""
 _FEW = 0.15
 """Share of surviving particles below which lost ones are walked anew instead of copied."""
 
@@ -176,54 +182,62 @@ class SpeedBelief:
 
 
 @dataclass(slots=True, kw_only=True)
-class Track:
+class TargetParticles:
     """What is believed of one target.
 
-    walkers: (3, M) x, y, heading of its particles; sightings: the last ones, and trail: places it
-    was seen at, both (time, x, y); heading_rad: at the last sighting; heading_trust: chance that
-    it is right
+    walkers:       (3, M) float64 x, y, heading of its particles
+    trail:         places it was seen at, a little apart
+    heading_rad:   at the last sight
+    heading_trust: chance that it is right
     """
 
     walkers: FloatArray
-    sightings: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=6))
-    trail: deque[tuple[float, float, float]] = field(default_factory=lambda: deque(maxlen=128))
+    trail: deque[Sight] = field(default_factory=lambda: deque(maxlen=128))
     heading_rad: float = 0.0
     heading_trust: float = 0.0
 
-    @property
-    def seen_au(self) -> float:
-        """When it was seen last; minus infinity if never."""
-        return self.sightings[-1][0] if self.sightings else -math.inf
+    def remember(self, sight: Sight) -> None:
+        """Lengthen the trail if the target has come away from its end."""
+        x_au, y_au = sight[1:]
+        if not self.trail or math.dist(self.trail[-1][1:], (x_au, y_au)) > 0.025:
+            self.trail.append(sight)
 
 
 class ParticleBelief:
-    """Particles of all targets."""
+    """Particles of all targets, folded over the mission's log of sightings."""
 
     def __init__(
-        self, priors_au: FloatArray, motion: MotionSettings, rng: np.random.Generator
+        self,
+        priors_au: FloatArray,
+        motion: MotionSettings,
+        rng: np.random.Generator,
+        *,
+        num_imagined: int = 0,
     ) -> None:
-        """priors_au: (N, 2) positions at time 0, NaN where unknown."""
+        """Begin at the priors.
+
+        priors_au:    (N, 2) float64 au positions at time 0, NaN where unknown
+        num_imagined: targets, kept last, that stand for those not known of yet
+        """
         self._motion = motion
         self._rng = rng
+        self._num_imagined = num_imagined
+        self._num_learned = 0
         self.time_au = 0.0
         self.speed = SpeedBelief(motion)
         self._speeds = self.speed.draw(motion.num_particles, rng)
-        self._misses: deque[tuple[float, float, float]] = deque(maxlen=64)
-        self.tracks = [self._new_track(prior_au) for prior_au in priors_au]
+        imagined_au = np.full((num_imagined, 2), np.nan)
+        self.targets = [self._begin(prior) for prior in np.concatenate([priors_au, imagined_au])]
 
-    def _new_track(self, prior_au: FloatArray) -> Track:
-        walkers = self._rng.random((3, self._motion.num_particles))
-        walkers[2] *= 2.0 * math.pi
-        track = Track(walkers=walkers)
+    def _begin(self, prior_au: FloatArray) -> TargetParticles:
+        count = self._motion.num_particles
+        headings_rad = 2.0 * math.pi * self._rng.random(count)
+        walkers = np.stack([*ARENA.sample(count, self._rng).T, headings_rad])
+        target = TargetParticles(walkers=walkers)
         if not np.isnan(prior_au).any():
             walkers[:2] = prior_au[:, None]
-            track.sightings.append((0.0, float(prior_au[0]), float(prior_au[1])))
-            track.trail.append(track.sightings[-1])
-        return track
-
-    def add_target(self) -> None:
-        """Append a target never seen, which may be where the last one, unseen too, may be."""
-        self.tracks.append(Track(walkers=self.tracks[-1].walkers.copy()))
+            target.remember(Sight(0.0, *prior_au.tolist()))
+        return target
 
     def advance(self, time_au: float) -> None:
         """Walk all particles on to a time; never back."""
@@ -231,8 +245,8 @@ class ParticleBelief:
         if duration <= 0.0:
             return
         self.time_au = time_au
-        for track in self.tracks:
-            self._walk(track.walkers, self._speeds, duration)
+        for target in self.targets:
+            self._walk(target.walkers, self._speeds, duration)
 
     def _walk(self, walkers: FloatArray, speeds: FloatArray, duration_au: float) -> None:
         walk(walkers, speeds, duration_au, self._motion.turns_per_au, TURN_QUANTILES_RAD, self._rng)
@@ -243,9 +257,9 @@ class ParticleBelief:
         """Give some particles of each target, now and walked on. -> (N, m, 2), (H, N, m, 2)."""
         # Always the first ones: plans made against the same particles keep their worth.
         chosen = np.arange(min(num_particles, self._motion.num_particles))
-        speeds = np.tile(self._speeds[chosen], len(self.tracks))
-        walkers = np.concatenate([track.walkers[:, chosen] for track in self.tracks], axis=1)
-        shape = (len(self.tracks), len(chosen), 2)
+        speeds = np.tile(self._speeds[chosen], len(self.targets))
+        walkers = np.concatenate([target.walkers[:, chosen] for target in self.targets], axis=1)
+        shape = (len(self.targets), len(chosen), 2)
         now = walkers[:2].T.reshape(shape).copy()
         later = np.empty((num_steps, *shape))
         for step in range(num_steps):
@@ -253,103 +267,104 @@ class ParticleBelief:
             later[step] = walkers[:2].T.reshape(shape)
         return now, later
 
-    def update(self, measurement: Measurement) -> None:
-        """Take what the sensor said. Targets beyond those known are the caller's to add."""
-        self.advance(measurement.time_au)
+    def learn(self, sightings: Sightings) -> None:
+        """Take in what the log holds since the last time, target by target that joined, too."""
+        for measurement in sightings.since(self._num_learned):
+            self._num_learned += 1
+            while len(measurement.seen) > len(self.targets) - self._num_imagined:
+                # May be where the last one, unseen too, may be.
+                self.targets.append(TargetParticles(walkers=self.targets[-1].walkers.copy()))
+            self._update(measurement, sightings)
+
+    def _update(self, measurement: Measurement, sightings: Sightings) -> None:
         time_au = measurement.time_au
-        seen = np.flatnonzero(measurement.seen)
-        for target in seen:
-            self._learn_speed(self.tracks[target], time_au, measurement.target_au[target])
-        if len(seen):
+        self.advance(time_au)
+        before = [sightings.sights(i, time_au, _NUM_SIGHTS) for i in range(len(self.targets))]
+        seen = np.flatnonzero(measurement.seen).tolist()
+        now = {i: Sight(time_au, *measurement.target_au[i].tolist()) for i in seen}
+        for i, sight in now.items():
+            self._learn_speed(before[i], sight)
+        if seen:
             self._speeds = self.speed.draw(self._motion.num_particles, self._rng)
-        agent_au = measurement.agent_au
-        self._misses.append((time_au, float(agent_au[0]), float(agent_au[1])))
-        for index, track in enumerate(self.tracks):
-            if index < len(measurement.seen) and measurement.seen[index]:
-                self._sight(track, time_au, measurement.target_au[index])
+        for i, target in enumerate(self.targets):
+            if i in now:
+                self._sight(target, before[i], now[i])
             else:
-                self._miss(track, agent_au)
+                lost = self._refuted(target, measurement.agent_au)
+                if len(lost) > (1.0 - _FEW) * self._motion.num_particles and before[i]:
+                    misses = self._misses_since(before[i][-1], sightings)
+                    lost = lost[self._walk_anew(target, lost, before[i][-1], misses) :]
+                if len(lost):
+                    self._copy_survivors(target, lost)
 
-    def _learn_speed(self, track: Track, time_au: float, target_au: FloatArray) -> None:
-        for then_au, x, y in list(track.sightings)[-3:]:
-            if 1e-6 < time_au - then_au <= 1.2:
-                displacement = math.hypot(target_au[0] - x, target_au[1] - y)
-                self.speed.observe(displacement, time_au - then_au)
+    def _learn_speed(self, before: list[Sight], now: Sight) -> None:
+        for then in before[-3:]:
+            if 1e-6 < now.time_au - then.time_au <= 1.2:
+                self.speed.observe(math.dist(then[1:], now[1:]), now.time_au - then.time_au)
 
-    def _sight(self, track: Track, time_au: float, target_au: FloatArray) -> None:
+    def _sight(self, target: TargetParticles, before: list[Sight], now: Sight) -> None:
         """Put all particles where the target is seen.
 
-        Headings come from the last sightings, or from the particles that foresaw the place best.
+        Headings come from the last sights, or from the particles that foresaw the place best.
         """
-        x, y = float(target_au[0]), float(target_au[1])
-        walkers, count = track.walkers, self._motion.num_particles
-        base = self._heading_base(track, time_au, x, y)
+        walkers, count = target.walkers, self._motion.num_particles
+        base = _heading_base(before, now)
         if base is not None:
-            then_au, from_x, from_y = base
-            track.heading_rad = math.atan2(y - from_y, x - from_x)
-            track.heading_trust = 0.65
-            walkers[2] = track.heading_rad
-            walked = self.speed.mean * (time_au - then_au)
-            if math.hypot(x - from_x, y - from_y) < 0.93 * walked:  # it turned on the way
+            target.heading_rad = math.atan2(now.y_au - base.y_au, now.x_au - base.x_au)
+            target.heading_trust = 0.65
+            walkers[2] = target.heading_rad
+            walked = self.speed.mean * (now.time_au - base.time_au)
+            if math.dist(now[1:], base[1:]) < 0.93 * walked:  # it turned on the way
                 is_loose = self._rng.random(count) < 0.7
                 walkers[2] += np.where(is_loose, self._rng.normal(0.0, 0.6, count), 0.0)
         else:
-            track.heading_trust = 0.0
-            error = (walkers[0] - x) ** 2 + (walkers[1] - y) ** 2
+            target.heading_trust = 0.0
+            error = (walkers[0] - now.x_au) ** 2 + (walkers[1] - now.y_au) ** 2
             best = np.argpartition(error, count // 12)[: count // 12]
             walkers[2] = walkers[2, self._rng.choice(best, count)]
             walkers[2] += self._rng.normal(0.0, 0.2, count)
-        walkers[0], walkers[1] = min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)
-        track.sightings.append((time_au, x, y))
-        if not track.trail or math.hypot(track.trail[-1][1] - x, track.trail[-1][2] - y) > 0.025:
-            track.trail.append(track.sightings[-1])
+        walkers[:2] = ARENA.clip(np.array(now[1:]))[:, None]
+        target.remember(now)
 
-    def _heading_base(
-        self, track: Track, time_au: float, x: float, y: float
-    ) -> tuple[float, float, float] | None:
-        """The recent sighting from which the present heading is told: far enough, not too old."""
-        base = None
-        for sighting in reversed(track.sightings):
-            if time_au - sighting[0] > 0.65:
-                break
-            base = sighting
-            if math.hypot(x - sighting[1], y - sighting[2]) > 0.01:
-                break
-        if base is not None and math.hypot(x - base[1], y - base[2]) < 1e-4:
-            return None
-        return base
-
-    def _miss(self, track: Track, agent_au: FloatArray) -> None:
-        """Remove the particles that a miss refutes, and put others in their place."""
+    def _refuted(self, target: TargetParticles, agent_au: FloatArray) -> IntArray:
+        """Particles that a miss refutes. -> (K,) their indices."""
         motion = self._motion
         latest_au = self.time_au - 0.3 / self.speed.mean
         first_au = self.time_au - motion.trail_au / self.speed.mean
-        old = [(x, y) for time_au, x, y in track.trail if first_au < time_au < latest_au]
-        lost = refuted(
-            track.walkers,
+        old = [sight[1:] for sight in target.trail if first_au < sight.time_au < latest_au]
+        lost: IntArray = refuted(
+            target.walkers,
             agent_au,
             np.array(old, dtype=np.float64).reshape(-1, 2),
             motion.trail_radius_au,
             motion.trail_doubt,
             self._rng,
         )
-        if len(lost) > (1.0 - _FEW) * motion.num_particles:
-            lost = lost[self._walk_anew(track, lost) :]
-        if len(lost):
-            self._copy_survivors(track, lost)
+        return lost
 
-    def _walk_anew(self, track: Track, lost: IntArray) -> int:
-        """Walk particles anew from the last sighting if all misses since are known. -> how many."""
-        misses = [miss for miss in self._misses if miss[0] > track.seen_au + 1e-9]
-        if not track.sightings or len(misses) == self._misses.maxlen:
+    def _misses_since(self, sight: Sight, sightings: Sightings) -> list[Sight] | None:
+        """When and where the agent has missed a target since a sight; None if too often to tell."""
+        first = max(0, self._num_learned - _MOST_MISSES)
+        recent = sightings.since(first)[: self._num_learned - first]
+        misses = [
+            Sight(m.time_au, *m.agent_au.tolist())
+            for m in recent
+            if m.time_au > sight.time_au + 1e-9
+        ]
+        return misses if len(misses) < _MOST_MISSES else None
+
+    def _walk_anew(
+        self, target: TargetParticles, lost: IntArray, sight: Sight, misses: list[Sight] | None
+    ) -> int:
+        """Walk particles anew from the last sight if all misses since are known. -> how many."""
+        if misses is None:
             return 0
-        origin = np.array([*track.sightings[-1], track.heading_rad, track.heading_trust])
         return int(
             walk_anew(
-                track.walkers,
+                target.walkers,
                 self._speeds,
                 lost,
-                origin,
+                np.array([*sight, target.heading_rad, target.heading_trust]),
                 np.array(misses, dtype=np.float64).reshape(-1, 3),
                 self._motion.turns_per_au,
                 TURN_QUANTILES_RAD,
@@ -357,10 +372,24 @@ class ParticleBelief:
             )
         )
 
-    def _copy_survivors(self, track: Track, lost: IntArray) -> None:
-        """Replace particles by survivors, or by anything in the square if there are none."""
+    def _copy_survivors(self, target: TargetParticles, lost: IntArray) -> None:
+        """Replace particles by survivors, or by anything in the arena if there are none."""
         survivors = np.setdiff1d(np.arange(self._motion.num_particles), lost)
         if len(survivors):
-            track.walkers[:, lost] = track.walkers[:, self._rng.choice(survivors, len(lost))]
+            target.walkers[:, lost] = target.walkers[:, self._rng.choice(survivors, len(lost))]
         else:
-            track.walkers[:, lost] = self._new_track(np.full(2, np.nan)).walkers[:, lost]
+            target.walkers[:, lost] = self._begin(np.full(2, np.nan)).walkers[:, lost]
+
+
+def _heading_base(before: list[Sight], now: Sight) -> Sight | None:
+    """The recent sight from which the present heading is told: far enough, not too old."""
+    base = None
+    for sight in reversed(before):
+        if now.time_au - sight.time_au > 0.65:
+            break
+        base = sight
+        if math.dist(now[1:], sight[1:]) > 0.01:
+            break
+    if base is not None and math.dist(now[1:], base[1:]) < 1e-4:
+        return None
+    return base

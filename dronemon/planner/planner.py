@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from dronemon.types import FloatArray, Measurement
+from dronemon.arena import ARENA, Arena
+from dronemon.types import FloatArray
 
 if TYPE_CHECKING:
     from dronemon.belief import Belief
     from dronemon.roadmap import Roadmap
+    from dronemon.sightings import Sightings
 
 TargetsAt = Callable[[FloatArray], FloatArray]
 """True positions of all targets at given times. (S,) au -> (S, N, 2) au."""
@@ -28,21 +30,23 @@ TargetsAt = Callable[[FloatArray], FloatArray]
 class Snapshot:
     """What is known when a waypoint is due.
 
-    time_au: mission time, which is the distance flown; position_au: (2,) the agent's; node: the
-    roadmap node it stands on, if any; measurements: all since the previous snapshot, oldest first;
-    remaining_au: mission time left.
+    time_au:      mission time; what is known ages by it
+    flown_au:     distance flown; measurements come by it. The same where one flies at unit speed
+    position_au:  (2,) au the agent's
+    node:         the roadmap node it stands on, if any
+    sightings:    the mission's log, which grows on after the decision
+    belief:       posteriors of all known targets; fitted when asked, so it costs nothing unused
+    remaining_au: distance left to fly
 
-    Index i always means the same target. Without any prior the number of targets grows: a target
-    that is seen for the first time is appended, and later measurements are longer than earlier
-    ones.
+    Without any prior the number of targets grows: one that is seen for the first time is appended.
     """
 
     time_au: float
+    flown_au: float
     position_au: FloatArray
     node: int | None
-    measurements: tuple[Measurement, ...]
+    sightings: Sightings
     belief: Belief
-    """Posteriors of all known targets; built when first asked, so it costs nothing unused."""
     roadmap: Roadmap
     remaining_au: float
 
@@ -64,9 +68,12 @@ class Waypoint:
 class Briefing:
     """What is known before the mission starts.
 
-    num_targets: N known so far; priors_au: (N, 2) positions at time 0, NaN where unknown; start_au:
-    (2,); horizon_au: mission length; rng: the planner's own randomness. Sensor radius and
-    measurement interval are constants of `dronemon.mission.schema`.
+    num_targets: N known so far
+    priors_au:   (N, 2) au positions at time 0, NaN where unknown
+    start_au:    (2,) au
+    horizon_au:  distance to fly
+    rng:         the planner's own randomness
+    arena:       where waypoints may be
     """
 
     num_targets: int
@@ -74,6 +81,7 @@ class Briefing:
     start_au: FloatArray
     horizon_au: float
     rng: np.random.Generator
+    arena: Arena = ARENA
 
 
 class Planner(Protocol):

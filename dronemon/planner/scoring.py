@@ -46,22 +46,12 @@ _NEAR = 0.05
 """Squared distance, particle to agent, beyond which its probes are left alone."""
 MEAN_CELLS = 48
 """Cells along each axis of the fields of posterior means."""
-_MEAN_REACH_AU = 0.7
-"""Data farther from a cell, age counted, do not show in its mean: the kernel is below 1e-4."""
-_MEAN_BINS = 8192
-_MEAN_JITTER = 1e-6
 
 
 def _matern(distance: FloatArray) -> FloatArray:
     scaled = math.sqrt(3.0) * distance
     kernel: FloatArray = (1.0 + scaled) * np.exp(-scaled)
     return kernel
-
-
-_MATERN_AT = _matern(
-    np.sqrt((np.arange(_MEAN_BINS) + 0.5) / _MEAN_BINS) * _MEAN_REACH_AU / LENGTH_SCALE_AU
-)
-"""The kernel by squared distance, in bins to `_MEAN_REACH_AU`."""
 
 
 class Tables(NamedTuple):
@@ -138,22 +128,27 @@ def make_tables(
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def probe_ages(particles, first, points, counts, time_au, tables, out):  # type: ignore[no-untyped-def]
-    """Equivalent age now of every probe, from what was measured in the belief's window.
+def probe_ages(particles, first, points, mask, time_au, tables, out):  # type: ignore[no-untyped-def]
+    """Write the equivalent age now of every probe, from what was measured in the belief's window.
 
-    particles: (P, 2); points: (N, n, 3) x, y, time of each target's data, the first `counts` of
-    them -> out (P, 4)
+    particles: (P, 2)    au
+    first:     (N + 1,)  each target's first particle
+    points:    (N, n, 3) au x, y, time of each target's data
+    mask:      (N, n)    bool whether there is such a datum
+    out:       (P, 4)    int32
     """
     rho = tables.probe_au
     scale = _REACH_BINS / _REACH_AU**2
     squared_speed = (LENGTH_SCALE_AU / TIME_SCALE_AU) ** 2
-    for i in range(counts.shape[0]):
+    for i in range(mask.shape[0]):
         for p in range(first[i], first[i + 1]):
             for q in range(4):
                 x = particles[p, 0] + (rho if q == 0 else (-rho if q == 1 else 0.0))
                 y = particles[p, 1] + (rho if q == 2 else (-rho if q == 3 else 0.0))
                 nearest = 1e9
-                for m in range(counts[i]):
+                for m in range(mask.shape[1]):
+                    if not mask[i, m]:
+                        continue
                     dt = time_au - points[i, m, 2]
                     distance = (
                         (x - points[i, m, 0]) ** 2
@@ -163,65 +158,6 @@ def probe_ages(particles, first, points, counts, time_au, tables, out):  # type:
                     nearest = min(nearest, distance)
                 bin_ = int(nearest * scale)
                 out[p, q] = tables.age_at[bin_] if bin_ < _REACH_BINS else NUM_AGES - 1
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _solve(matrix, vector):  # type: ignore[no-untyped-def]
-    """Solve for a vector in place, by Cholesky; compiled much sooner than numpy's solver."""
-    n = vector.shape[0]
-    for a in range(n):
-        for b in range(a + 1):
-            rest = matrix[a, b]
-            for k in range(b):
-                rest -= matrix[a, k] * matrix[b, k]
-            matrix[a, b] = math.sqrt(rest) if a == b else rest / matrix[b, b]
-        for k in range(a):
-            vector[a] -= matrix[a, k] * vector[k]
-        vector[a] /= matrix[a, a]
-    for a in range(n - 1, -1, -1):
-        for k in range(a + 1, n):
-            vector[a] -= matrix[k, a] * vector[k]
-        vector[a] /= matrix[a, a]
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def mean_fields(points, values, counts, time_au, out):  # type: ignore[no-untyped-def]
-    """Posterior mean now of each target's presence, cell by cell.
-
-    points: (N, n, 3) x, y, time of each target's data, the first `counts` of them; values: (N, n)
-    -> out (N, C, C)
-    """
-    size = out.shape[1]
-    squared_speed = (LENGTH_SCALE_AU / TIME_SCALE_AU) ** 2
-    scale = _MEAN_BINS / _MEAN_REACH_AU**2
-    for i in range(counts.shape[0]):
-        out[i] = 0.0
-        n = counts[i]
-        covariance = np.empty((n, n))
-        for a in range(n):
-            for b in range(a):
-                dt = points[i, a, 2] - points[i, b, 2]
-                distance = math.sqrt(
-                    (points[i, a, 0] - points[i, b, 0]) ** 2
-                    + (points[i, a, 1] - points[i, b, 1]) ** 2
-                    + dt * dt * squared_speed
-                )
-                scaled = math.sqrt(3.0) * distance / LENGTH_SCALE_AU
-                covariance[a, b] = covariance[b, a] = (1.0 + scaled) * math.exp(-scaled)
-            covariance[a, a] = 1.0 + _MEAN_JITTER
-        weight = values[i, :n].copy()
-        _solve(covariance, weight)
-        for a in range(n):
-            dt = time_au - points[i, a, 2]
-            for c in range(size):
-                dx = (c + 0.5) / size - points[i, a, 0]
-                across = dx * dx + dt * dt * squared_speed
-                for d in range(size):
-                    dy = (d + 0.5) / size - points[i, a, 1]
-                    distance = across + dy * dy
-                    if distance < _MEAN_REACH_AU**2:
-                        bin_ = min(int(distance * scale), _MEAN_BINS - 1)
-                        out[i, c, d] += weight[a] * _MATERN_AT[bin_]
 
 
 @njit(cache=True, fastmath=True, nogil=True)

@@ -8,12 +8,14 @@ one setting serves any number and speed of targets.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dronemon.arena import ARENA
+from dronemon.belief import Belief
 from dronemon.errors import PlannerError
 from dronemon.planner import moving, paths, scoring
 from dronemon.planner.motion import ARRIVED_AU, until_measurement_au
@@ -21,6 +23,7 @@ from dronemon.planner.particles import MotionSettings, ParticleBelief
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_AU
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, IntArray, Measurement
 
 _NEXT_AU = 0.03
@@ -107,55 +110,6 @@ class SearchSettings:
         )
 
 
-class _Evidence:
-    """What each target's Gaussian process was given within its window."""
-
-    def __init__(self, priors_au: FloatArray) -> None:
-        self._measurements: deque[Measurement] = deque()
-        self._priors = [
-            [] if np.isnan(prior_au).any() else [(*prior_au, 0.0)] for prior_au in priors_au
-        ]
-        self.seen_au = [-math.inf if np.isnan(p).any() else 0.0 for p in priors_au]
-
-    def add_target(self) -> None:
-        """Append a target without prior."""
-        self._priors.append([])
-        self.seen_au.append(-math.inf)
-
-    def add(self, measurement: Measurement) -> None:
-        """Take a measurement and forget those that leave the window."""
-        self._measurements.append(measurement)
-        while measurement.time_au - self._measurements[0].time_au >= WINDOW_AU:
-            self._measurements.popleft()
-        for index in np.flatnonzero(measurement.seen):
-            self.seen_au[index] = measurement.time_au
-
-    def due_au(self, time_au: float) -> float:
-        """Distance to a measurement that is worth planning for: the next, or the one after."""
-        latest_au = self._measurements[-1].time_au if self._measurements else 0.0
-        left = until_measurement_au(time_au - latest_au)
-        return left if left >= _NEXT_AU else left + MEASUREMENT_INTERVAL_AU
-
-    def points(self, time_au: float, num_targets: int) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Each target's data, and how many. -> (N, n, 3) x, y, time; (N, n) presence; (N,)."""
-        num_points = len(self._measurements)
-        points = np.zeros((num_targets, num_points + 1, 3))
-        values = np.zeros((num_targets, num_points + 1))
-        for m, measurement in enumerate(self._measurements):
-            points[:, m, :2] = measurement.agent_au
-            points[:, m, 2] = measurement.time_au
-            for seen in measurement.seen.nonzero()[0]:
-                points[seen, m, :2] = measurement.target_au[seen]
-                values[seen, m] = 1.0
-        counts = np.full(num_targets, num_points)
-        for i, prior in enumerate(self._priors):
-            if prior and time_au < WINDOW_AU:
-                points[i, num_points] = prior[0]
-                values[i, num_points] = 1.0
-                counts[i] += 1
-        return points, values, counts
-
-
 class SearchPlanner:
     """Flies freely, a measurement's interval at a time."""
 
@@ -171,12 +125,12 @@ class SearchPlanner:
 
     def _begin(self, briefing: Briefing, roadmap: Roadmap) -> None:
         self._rng = briefing.rng
-        self._may_be_more = briefing.num_targets == 0
-        priors_au = briefing.priors_au.reshape(-1, 2)
-        if self._may_be_more:
-            priors_au = np.full((1, 2), np.nan)  # the imagined target, always the last
-        self._belief = ParticleBelief(priors_au, self.settings.motion, self._rng)
-        self._evidence = _Evidence(priors_au)
+        self._particles = ParticleBelief(
+            briefing.priors_au.reshape(-1, 2),
+            self.settings.motion,
+            self._rng,
+            num_imagined=int(briefing.num_targets == 0),
+        )
         self._ground = self._make_ground(roadmap)
         self._goals = np.zeros((paths.MAX_GOALS, 2))
         self._num_goals = 0
@@ -191,14 +145,12 @@ class SearchPlanner:
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """One step along the best path found."""
-        self._learn(snapshot.measurements, snapshot.time_au)
-        start = paths.Start(
-            float(snapshot.position_au[0]),
-            float(snapshot.position_au[1]),
-            -1,
-            self._evidence.due_au(snapshot.time_au),
-        )
-        found = self._search(snapshot.time_au, start, np.empty(0, dtype=np.int64))
+        due_au = until_measurement_au(snapshot.flown_au)
+        if due_au < _NEXT_AU:
+            due_au += MEASUREMENT_INTERVAL_AU
+        x_au, y_au = snapshot.position_au.tolist()
+        start = paths.Start(x_au, y_au, -1, due_au)
+        found = self._search(snapshot, start, np.empty(0, dtype=np.int64))
         path_au = found.path_au
         if not _is_found(found.gain) or math.dist(path_au[0], snapshot.position_au) <= ARRIVED_AU:
             raise PlannerError(f"search found no path from {snapshot.position_au}; report this")
@@ -207,7 +159,7 @@ class SearchPlanner:
             position_au=path_au[0],
             details={
                 "gain": found.gain,
-                "speed": self._belief.speed.mean,
+                "speed": self._particles.speed.mean,
                 "path": path_au.tolist(),
             },
         )
@@ -220,65 +172,31 @@ class SearchPlanner:
         self._num_goals = count - done
         self._goals[: self._num_goals] = found.goals_au[done:count]
 
-    def _learn(self, measurements: tuple[Measurement, ...], time_au: float) -> None:
-        for measurement in measurements:
-            while len(measurement.seen) > len(self._belief.tracks) - self._may_be_more:
-                self._belief.add_target()
-                self._evidence.add_target()
-            self._belief.update(measurement)
-            self._evidence.add(measurement)
-        self._belief.advance(time_au)
-
     def _foreseen(self, time_au: float) -> tuple[FloatArray, FloatArray, float]:
         """Give the particles now and at the next measurements, and their speed.
 
         -> (N, m, 2), (H, N, m, 2), ratio to the agent's
         """
-        speed = self._belief.speed.mean
-        count = self.settings.num_planned_in_all // len(self._belief.tracks)
-        now, later = self._belief.futures(
+        speed = self._particles.speed.mean
+        count = self.settings.num_planned_in_all // len(self._particles.targets)
+        now, later = self._particles.futures(
             min(self.settings.num_planned, count),
             self.settings.horizon(speed),
             MEASUREMENT_INTERVAL_AU,
         )
         return now, later, speed
 
-    def _search(self, time_au: float, start: paths.Start, options: IntArray) -> paths.Found:
-        now, later, speed = self._foreseen(time_au)
-        num_targets, num_each = now.shape[:2]
+    def _search(self, snapshot: Snapshot, start: paths.Start, options: IntArray) -> paths.Found:
+        """Learn what the log holds, look ahead, and find the best path from here."""
+        self._particles.learn(snapshot.sightings)
+        self._particles.advance(snapshot.time_au)
+        now_au, later_au, speed = self._foreseen(snapshot.time_au)
         tables = self.settings.tables(speed)
-        first = np.arange(num_targets + 1) * num_each
-        points, values, counts = self._evidence.points(time_au, num_targets)
-        mean = np.empty((num_targets, scoring.MEAN_CELLS, scoring.MEAN_CELLS), dtype=np.float32)
-        scoring.mean_fields(points, values, counts, time_au, mean)
-        probe_age = np.empty((num_targets * num_each, 4), dtype=np.int32)
-        scoring.probe_ages(
-            np.ascontiguousarray(now.reshape(-1, 2)),
-            first,
-            points,
-            counts,
-            time_au,
-            tables,
-            probe_age,
-        )
-        since = (time_au - np.array(self._evidence.seen_au)) / MEASUREMENT_INTERVAL_AU
-        weight = np.full(num_targets, 1.0 / num_each)
-        weight[np.isinf(since)] *= self.settings.unfound_weight
-        flat = later.astype(np.float32).reshape(len(later), -1, 2)
-        forecast = scoring.Forecast(
-            x=np.ascontiguousarray(flat[..., 0]),
-            y=np.ascontiguousarray(flat[..., 1]),
-            weight=np.repeat(weight, num_each).astype(np.float32),
-            probe_age=probe_age,
-            sight_age=np.repeat(np.rint(since.clip(0, scoring.OLDEST)), num_each).astype(np.int32),
-            first=first,
-            mean=mean,
-        )
         found: paths.Found = paths.search(
             start,
             self._ground,
             options,
-            forecast,
+            self._forecast(snapshot, now_au, later_au, tables),
             tables,
             self.settings.effort,
             self._goals,
@@ -286,6 +204,43 @@ class SearchPlanner:
             self._rng,
         )
         return found
+
+    def _forecast(
+        self, snapshot: Snapshot, now_au: FloatArray, later_au: FloatArray, tables: scoring.Tables
+    ) -> scoring.Forecast:
+        """What paths are scored in.
+
+        now_au:   (N, m, 2)    au particles of each target
+        later_au: (H, N, m, 2) au the same at the next measurements
+        """
+        num_targets, num_each = now_au.shape[:2]
+        first = np.arange(num_targets + 1) * num_each
+        window = snapshot.sightings.window(WINDOW_AU, num_targets)
+        probe_age = np.empty((num_targets * num_each, 4), dtype=np.int32)
+        scoring.probe_ages(
+            np.ascontiguousarray(now_au.reshape(-1, 2)),
+            first,
+            window.points,
+            window.mask,
+            snapshot.time_au,
+            tables,
+            probe_age,
+        )
+        since = np.full(num_targets, np.inf)
+        seen_au = snapshot.sightings.last_seen_au
+        since[: len(seen_au)] = (snapshot.time_au - seen_au) / MEASUREMENT_INTERVAL_AU
+        weight = np.full(num_targets, 1.0 / num_each)
+        weight[np.isinf(since)] *= self.settings.unfound_weight
+        flat = later_au.astype(np.float32).reshape(len(later_au), -1, 2)
+        return scoring.Forecast(
+            x=np.ascontiguousarray(flat[..., 0]),
+            y=np.ascontiguousarray(flat[..., 1]),
+            weight=np.repeat(weight, num_each).astype(np.float32),
+            probe_age=probe_age,
+            sight_age=np.repeat(np.rint(since.clip(0, scoring.OLDEST)), num_each).astype(np.int32),
+            first=first,
+            mean=_mean_fields(snapshot, num_targets),
+        )
 
 
 class RoadmapSearchPlanner(SearchPlanner):
@@ -308,20 +263,15 @@ class RoadmapSearchPlanner(SearchPlanner):
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """The neighbour by way of which the best path goes; details hold every neighbour's gain."""
-        self._learn(snapshot.measurements, snapshot.time_au)
         nodes_au = snapshot.roadmap.nodes_au
         node = snapshot.node
         if node is None:
             node = int(np.linalg.norm(nodes_au - snapshot.position_au, axis=-1).argmin())
         neighbours = snapshot.roadmap.neighbours[node]
         neighbours = neighbours[neighbours != node]
-        start = paths.Start(
-            float(snapshot.position_au[0]),
-            float(snapshot.position_au[1]),
-            node,
-            until_measurement_au(snapshot.time_au),
-        )
-        found = self._search(snapshot.time_au, start, neighbours)
+        x_au, y_au = snapshot.position_au.tolist()
+        start = paths.Start(x_au, y_au, node, until_measurement_au(snapshot.flown_au))
+        found = self._search(snapshot, start, neighbours)
         if not _is_found(found.gain):
             raise PlannerError(f"search found no way from node {node}; report this")
         hop_au = nodes_au[found.hop]
@@ -357,6 +307,16 @@ class ClairvoyantSearchPlanner(SearchPlanner):
         return places[0], places[1:], speed
 
 
+def _mean_fields(snapshot: Snapshot, num_targets: int) -> NDArray[np.float32]:
+    """The belief's mean now, as `Forecast.mean` has it; 0 for imagined targets. -> (N, C, C)."""
+    cells_au = ARENA.cells(scoring.MEAN_CELLS)
+    query_au = np.column_stack([cells_au, np.full(len(cells_au), snapshot.time_au)])
+    mean = np.zeros((num_targets, scoring.MEAN_CELLS, scoring.MEAN_CELLS), dtype=np.float32)
+    known = snapshot.belief.num_targets
+    mean[:known] = snapshot.belief.mean(query_au).reshape(known, *mean.shape[1:])
+    return mean
+
+
 def _is_found(gain: float) -> bool:
     return math.isfinite(gain) and gain > paths.NOTHING
 
@@ -365,26 +325,35 @@ def _is_found(gain: float) -> bool:
 def _compile() -> None:
     """Have all compiled code ready, by a decision that is thrown away."""
     planner = SearchPlanner()
-    start_au = np.array([0.5, 0.5])
+    here_au = np.array([0.5, 0.5])
+    roadmap = Roadmap(nodes_au=here_au[None], neighbours=np.zeros((1, 1), dtype=np.int64))
+    sightings = Sightings(here_au[None])
     planner._begin(
         Briefing(
             num_targets=1,
-            priors_au=start_au[None],
-            start_au=start_au,
+            priors_au=sightings.priors_au,
+            start_au=here_au,
             horizon_au=1.0,
             rng=np.random.default_rng(0),
         ),
-        Roadmap(nodes_au=start_au[None], neighbours=np.zeros((1, 1), dtype=np.int64)),
+        roadmap,
     )
-    for time_au in (
-        0.1,
-        0.2,
-    ):  # misses where the target must be, so that all particles are replaced
-        missed = Measurement(
-            time_au=time_au,
-            agent_au=start_au,
-            seen=np.array([False]),
-            target_au=np.full((1, 2), np.nan),
+    for time_au in (0.1, 0.2):  # misses where the target must be: all particles are replaced
+        nowhere_au = np.full((1, 2), np.nan)
+        sightings.add(
+            Measurement(
+                time_au=time_au, agent_au=here_au, seen=np.array([False]), target_au=nowhere_au
+            )
         )
-        planner._learn((missed,), time_au)
-    planner._search(0.2, paths.Start(0.5, 0.5, -1, 0.1), np.empty(0, dtype=np.int64))
+    planner.next_waypoint(
+        Snapshot(
+            time_au=0.2,
+            flown_au=0.2,
+            position_au=here_au,
+            node=None,
+            sightings=sightings,
+            belief=Belief(sightings),
+            roadmap=roadmap,
+            remaining_au=0.8,
+        )
+    )

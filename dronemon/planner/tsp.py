@@ -11,6 +11,7 @@ sight, or flying it to its old end, moves Unc by about 0.01, up or down.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -42,7 +43,7 @@ class Whereabouts(Protocol):
         ...
 
     def take(self, snapshot: Snapshot) -> None:
-        """Take in what was measured since the last snapshot."""
+        """Take in what was seen since the last snapshot."""
         ...
 
     def at(self, time_au: float) -> FloatArray:
@@ -69,20 +70,22 @@ class TspLoop:
         self._sweep_until_au = 0.0 if briefing.num_targets else sweep_length_au()
         self._loop = np.empty(0, dtype=np.int64)
         self._goal = 0
+        self._num_read = 0
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """Step towards the goal, as far as the next measurement, which may move it."""
         self._whereabouts.take(snapshot)
         places_au = self._whereabouts.at(snapshot.time_au)  # (N, 2)
-        here_au, step_au = snapshot.position_au, until_measurement_au(snapshot.time_au)
+        here_au, step_au = snapshot.position_au, until_measurement_au(snapshot.flown_au)
         if (
             not len(places_au)
             or np.isnan(places_au).any()
-            or snapshot.time_au < self._sweep_until_au
+            or snapshot.flown_au < self._sweep_until_au
         ):
             corner_au = self._sweep.next_corner(here_au)
             return Waypoint(position_au=step_towards(here_au, corner_au, step_au))
-        was_seen = any(measurement.seen.any() for measurement in snapshot.measurements)
+        was_seen = any(m.seen.any() for m in snapshot.sightings.since(self._num_read))
+        self._num_read = len(snapshot.sightings)
         if was_seen or len(self._loop) != len(places_au):
             self._plan(places_au, here_au)
         for _ in places_au:
@@ -134,14 +137,11 @@ class LastSeen:
     """Where each target was last seen; the places known before the mission count as sights."""
 
     def reset(self, briefing: Briefing) -> None:
-        """Start from the known places."""
-        self._places_au = briefing.priors_au
+        """Nothing to forget: the log remembers."""
 
     def take(self, snapshot: Snapshot) -> None:
         """Move the targets that were seen to where they were seen."""
-        for measurement in snapshot.measurements:
-            places_au = _with_joined(self._places_au, len(measurement.seen))
-            self._places_au = np.where(measurement.seen[:, None], measurement.target_au, places_au)
+        self._places_au = snapshot.sightings.last_places_au
 
     def at(self, time_au: float) -> FloatArray:
         """Give the last-seen places, whatever the time."""
@@ -152,24 +152,19 @@ class CarriedOn:
     """Where each target would be had it kept on as it moved between its last two sights."""
 
     def reset(self, briefing: Briefing) -> None:
-        """Start from the known places, at rest."""
-        self._places_au = briefing.priors_au
-        self._times_au = np.zeros(briefing.num_targets)
-        self._velocities = np.zeros((briefing.num_targets, 2))
+        """Nothing to forget: the log remembers."""
 
     def take(self, snapshot: Snapshot) -> None:
-        """Read new velocities off the targets that were seen."""
-        for measurement in snapshot.measurements:
-            joined = len(measurement.seen) - len(self._places_au)
-            places_au = _with_joined(self._places_au, len(measurement.seen))
-            times_au = np.pad(self._times_au, (0, joined))
-            velocities = np.pad(self._velocities, ((0, joined), (0, 0)))
-            seen = measurement.seen[:, None]
-            elapsed_au = np.maximum(measurement.time_au - times_au, SHORTEST_AU)[:, None]
-            moved = (measurement.target_au - places_au) / elapsed_au
-            self._velocities = np.where(seen, np.nan_to_num(moved), velocities)
-            self._places_au = np.where(seen, measurement.target_au, places_au)
-            self._times_au = np.where(measurement.seen, measurement.time_au, times_au)
+        """Read places and velocities off the last two sights of each target."""
+        sightings = snapshot.sightings
+        self._places_au, self._times_au = sightings.last_places_au, sightings.last_seen_au
+        self._velocities = np.zeros((sightings.num_targets, 2))
+        for target in range(sightings.num_targets):
+            sights = sightings.sights(target, before_au=math.inf, most=2)
+            if len(sights) == 2:
+                then, now = np.array(sights)
+                elapsed_au = max(now[0] - then[0], SHORTEST_AU)
+                self._velocities[target] = (now[1:] - then[1:]) / elapsed_au
 
     def at(self, time_au: float) -> FloatArray:
         """Carry every target on in a straight line, as far as the border."""
@@ -185,16 +180,13 @@ class Predicted:
         axis = np.linspace(0.0, 1.0, PEAK_GRID)
         self._grid_au = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
         self._prediction_au = prediction_au
-        self._last_seen = LastSeen()
 
     def reset(self, briefing: Briefing) -> None:
-        """Start from the known places."""
-        self._last_seen.reset(briefing)
+        """Nothing to forget: log and belief remember."""
 
     def take(self, snapshot: Snapshot) -> None:
         """Find each belief's peak among the points of a grid."""
-        self._last_seen.take(snapshot)
-        last_seen_au = self._last_seen.at(snapshot.time_au)
+        last_seen_au = snapshot.sightings.last_places_au
         time_au = snapshot.time_au + self._prediction_au
         times_au = np.full((len(self._grid_au), 1), time_au)
         mean, _ = snapshot.belief.posterior(np.concatenate([self._grid_au, times_au], axis=1))
@@ -246,8 +238,3 @@ class ClairvoyantTspLoop:
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """Step towards where the next target will be met."""
         return self._loop.next_waypoint(snapshot)
-
-
-def _with_joined(places_au: FloatArray, num_targets: int) -> FloatArray:
-    """Room for targets that joined: their places are unknown. (N, 2) -> (num_targets, 2)."""
-    return np.pad(places_au, ((0, num_targets - len(places_au)), (0, 0)), constant_values=np.nan)

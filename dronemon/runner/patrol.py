@@ -67,7 +67,6 @@ class Patrol:
         self._down_m = frame.ground_down_m - self._mission.flight.altitude_m
         self._waypoint_au = start_au
         self._node: int | None = 0
-        self._new: list[Measurement] = []
         self._last_pose: Pose | None = None
         self._last_setpoint_s = -math.inf
         self._horizon_s: float | None = None
@@ -222,13 +221,11 @@ class Patrol:
                 cross_track_m=tally.cross_track_m[-1] if tally.cross_track_m else None,
             )
         )
-        tally.measurements.append(measurement)
         tally.times_s.append(picture.time_s)
         for name, is_seen in zip(self._names, measurement.seen, strict=True):
             if is_seen:
                 tally.last_seen_s[name] = picture.time_s
-        self._new.append(measurement)
-        self._belief.add(measurement)
+        self._belief.sightings.add(measurement)
         if self._mission.record.pictures:
             self._events.emit(Pictured(picture=picture, detections=detections, pose=pose))
         await self._show_beliefs(picture.time_s, measurement.time_au)
@@ -252,10 +249,9 @@ class Patrol:
         """Ask the planner, tell what it chose, and lengthen the path by it."""
         now_s = self._link.time_s
         if self.tally is None:
-            self.tally = Tally(start_s=now_s)
+            self.tally = Tally(start_s=now_s, sightings=self._belief.sightings)
             self._events.note("patrol", "the patrol begins")
         snapshot = self._snapshot(self.tally, now_s)
-        self._new.clear()
         began = time.perf_counter()
         planner = self._setup.planner
         try:
@@ -296,9 +292,10 @@ class Patrol:
         ahead_au = max(self._carrot.remaining_m, 0.0) / self._frame.side_m
         return Snapshot(
             time_au=self._frame.s_to_au(now_s - tally.start_s) + ahead_au,
+            flown_au=flown_au + ahead_au,
             position_au=self._waypoint_au,
             node=self._node,
-            measurements=tuple(self._new),
+            sightings=self._belief.sightings,
             belief=self._belief,
             roadmap=self._roadmap,
             remaining_au=max(self._mission.horizon_au - flown_au - ahead_au, 0.0),

@@ -22,6 +22,7 @@ from dronemon.planner import Briefing, Planner, Snapshot
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.interrupts import Interrupted, Interrupts
+from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement, Pose
 from dronemon.vehicle import VehicleLink
 from dronemon.vision import Detector
@@ -79,7 +80,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         target_au=np.full((num_targets, 2), np.nan),
     )
     belief = make_belief(mission, priors_au)
-    belief.add(measurement)
+    belief.sightings.add(measurement)
     with _belief_compiled_beside():
         _look(mission, detector)
         with _blaming(planner):
@@ -88,9 +89,10 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
     belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
     snapshot = Snapshot(
         time_au=0.1,
+        flown_au=0.1,
         position_au=start_au,
         node=0,
-        measurements=(measurement,),
+        sightings=belief.sightings,
         belief=belief,
         roadmap=roadmap,
         remaining_au=mission.horizon_au,
@@ -173,11 +175,7 @@ def brief(
 
 def make_belief(mission: Mission, priors_au: FloatArray) -> Belief:
     """Belief at time 0. priors_au: (N, 2), NaN where unknown."""
-    belief = Belief(len(mission.targets), mission_kernel(mission))
-    for index, prior_au in enumerate(priors_au):
-        if np.isfinite(prior_au).all():
-            belief.add_prior(index, prior_au)
-    return belief
+    return Belief(Sightings(priors_au), mission_kernel(mission))
 
 
 def mission_kernel(mission: Mission) -> Matern32:

@@ -8,11 +8,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import torch
 
-from dronemon.belief import Matern32, ObservationStore, fit
+from dronemon.belief import Belief, Matern32
 from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
-from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_TIME_SCALES
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.runner.flight import FlightResult
 from dronemon.runner.tally import Tally
+from dronemon.sightings import Sightings
 from dronemon.types import FloatArray
 
 
@@ -72,15 +73,13 @@ def summarise(
     result: FlightResult,
     *,
     truth: Mapping[float, FloatArray],
-    priors_au: FloatArray,
     side_m: float,
     target_names: tuple[str, ...],
     kernel: Matern32,
 ) -> Summary:
     """Sum a flight up.
 
-    truth:     capture time -> (N, 2) au true positions; empty where there is no simulator
-    priors_au: (N, 2) au, NaN where unknown
+    truth: capture time -> (N, 2) au true positions; empty where there is no simulator
     """
     tally = result.tally
     return Summary(
@@ -89,13 +88,11 @@ def summarise(
         landing_error_m=result.landing_error_m,
         error=str(result.error) if result.error else None,
         flown=_flown(tally, side_m, target_names) if tally else None,
-        score=_score(tally, truth, priors_au, kernel) if tally else None,
+        score=_score(tally, truth, kernel) if tally else None,
     )
 
 
 def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
-    seen = np.array([m.seen for m in tally.measurements], dtype=bool)
-    seen = seen.reshape(-1, len(target_names))
     progress = np.array(tally.progress)  # (T, 2) s, m
     pictured_m = np.interp(tally.times_s, *progress.T) if len(progress) else np.empty(0)
     spacing_m = np.diff(pictured_m, prepend=0.0)
@@ -107,52 +104,39 @@ def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
         mean_speed_m_s=tally.flown_m / tally.duration_s if tally.duration_s else None,
         cross_track_p95_m=_percentile(tally.cross_track_m, 95),
         cross_track_p95_au=_percentile(np.array(tally.cross_track_m) / side_m, 95),
-        pictures=len(tally.measurements),
+        pictures=len(tally.sightings),
         pictures_due=tally.num_pictures_due,
         picture_spacing_m=_percentile(spacing_m, 50),
         picture_spacing_error=_percentile(np.abs(spacing_m / due_m - 1.0), 50),
         decisions=len(tally.decision_ms),
         decision_p50_ms=_percentile(tally.decision_ms, 50),
         decision_p99_ms=_percentile(tally.decision_ms, 99),
-        observations=dict(zip(target_names, seen.sum(axis=0).tolist(), strict=True)),
+        observations=dict(zip(target_names, tally.sightings.num_seen, strict=True)),
     )
 
 
-def _score(
-    tally: Tally, truth: Mapping[float, FloatArray], priors_au: FloatArray, kernel: Matern32
-) -> Score:
+def _score(tally: Tally, truth: Mapping[float, FloatArray], kernel: Matern32) -> Score:
     """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth."""
+    sightings = tally.sightings
     true_au = [truth.get(round(time_s, 6)) for time_s in tally.times_s]
-    if not tally.measurements or any(positions is None for positions in true_au):
+    if not sightings or any(positions is None for positions in true_au):
         return Score()
-    num_targets = len(priors_au)
-    window_au = WINDOW_TIME_SCALES * kernel.length_scales_au[2]
-    store = ObservationStore(1, num_targets, window_au=window_au)
-    is_known = np.isfinite(priors_au).all(axis=-1)
-    store.add_prior(torch.tensor(is_known)[None], torch.tensor(np.nan_to_num(priors_au))[None])
+    replayed = Sightings(sightings.priors_au)
+    belief = Belief(replayed, kernel)
     grid = evaluation_grid()
     unc, jsd = [], []
-    for measurement, positions in zip(tally.measurements, true_au, strict=True):
-        time = torch.tensor([measurement.time_au], dtype=torch.float64)
-        store.add(
-            time,
-            torch.tensor(measurement.agent_au)[None],
-            torch.tensor(measurement.seen)[None],
-            torch.tensor(measurement.target_au)[None],
-        )
-        posterior = fit(*store.window(), kernel=kernel)  # (1, N)
+    for measurement, positions in zip(sightings.since(0), true_au, strict=True):
+        replayed.add(measurement)
         target_au = torch.tensor(positions)[None]
-        now = time.expand(1, num_targets)
-        unc.append(area_std(posterior, target_au, now)[0].numpy())
-        query = torch.cat([grid, time.expand(len(grid), 1)], dim=-1)
-        mean = posterior.mean(query.expand(1, num_targets, *query.shape))
-        jsd.append(jensen_shannon(mean, target_au)[0].numpy())
-    seen = np.array([m.seen for m in tally.measurements])
+        now = torch.full_like(target_au[..., 0], measurement.time_au)
+        unc.append(area_std(belief.process, target_au, now)[0].numpy())
+        query = torch.cat([grid, now[0, 0].expand(len(grid), 1)], dim=-1)
+        jsd.append(jensen_shannon(belief.process.mean(query), target_au)[0].numpy())
     return Score(
         unc=float(np.mean(unc)),
         unc_std=float(np.std(unc, axis=1).mean()),
         jsd=float(np.mean(jsd)),
-        min_ob=int(seen.sum(axis=0).min()),
+        min_ob=min(sightings.num_seen),
     )
 
 

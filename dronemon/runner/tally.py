@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from dronemon.types import Measurement, Pose
+from dronemon.sightings import Sightings
+from dronemon.types import Pose
 
 
 @dataclass(kw_only=True)
 class Tally:
     """The patrol's figures; they grow as it is flown.
 
-    start_s: vehicle time at which it began; times_s: of each measurement; progress: vehicle time
+    start_s: vehicle time at which it began; sightings: the mission's log, and
+    times_s: vehicle time of each measurement in it; progress: vehicle time
     and distance flown at each setpoint.
     """
 
     start_s: float
+    sightings: Sightings
     flown_m: float = 0.0
     duration_s: float = 0.0
-    measurements: list[Measurement] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
     last_seen_s: dict[str, float] = field(default_factory=dict)
     num_pictures_due: int = 0

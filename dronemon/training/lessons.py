@@ -21,6 +21,7 @@ from dronemon.planner import Briefing, Snapshot
 from dronemon.planner.search import RoadmapSearchPlanner, SearchSettings
 from dronemon.policy import Graphs, PolicyNetwork, Segment, Verdict
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.training.rollout import Rollout, play
 from dronemon.world import Instance, measure, sample_leg
 
@@ -69,10 +70,9 @@ class Teacher:
         self._roadmap = Roadmap.random(
             setup.num_nodes, NUM_NEIGHBOURS, instance.stream("roadmap"), instance.start_au
         )
-        self._belief = Belief(setup.num_targets)
         priors_au = self._targets.positions_au(0.0)
-        for index, position_au in enumerate(priors_au):
-            self._belief.add_prior(index, position_au)
+        self._sightings = Sightings(priors_au)
+        self._belief = Belief(self._sightings)
         self._planners = [RoadmapSearchPlanner(settings) for _ in range(NUM_PLANNERS)]
         for index, planner in enumerate(self._planners):
             planner.reset(
@@ -94,18 +94,17 @@ class Teacher:
         """
         nodes_au = self._roadmap.nodes_au
         leg = sample_leg(nodes_au[self._node], nodes_au[node], self._residual_au)
-        measurements = []
         for offset_au, agent_au in zip(leg.offsets_au, leg.positions_au, strict=True):
             at_au = self._time_au + float(offset_au)
             targets_au = self._targets.positions_au(self._speed_ratio * at_au)
-            measurements.append(measure(at_au, agent_au, targets_au))
-            self._belief.add(measurements[-1])
+            self._sightings.add(measure(at_au, agent_au, targets_au))
         self._residual_au, self._time_au, self._node = leg.residual_au, time_au, node
         snapshot = Snapshot(
             time_au=time_au,
+            flown_au=time_au,
             position_au=nodes_au[node],
             node=node,
-            measurements=tuple(measurements),
+            sightings=self._sightings,
             belief=self._belief,
             roadmap=self._roadmap,
             remaining_au=np.inf,

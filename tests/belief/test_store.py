@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dronemon.belief import Belief, ObservationStore, fit
-from dronemon.errors import BeliefError
+from dronemon.sightings import Sightings
 from dronemon.types import Measurement
 
 WINDOW_AU = 1.993 * 3.0
@@ -86,8 +86,8 @@ def test_inactive_and_cleared_episodes():
 
 
 def test_unseen_target_gives_absence_at_the_agent():
-    belief = Belief(2)
-    belief.add(
+    sightings = Sightings(np.full((2, 2), np.nan))
+    sightings.add(
         Measurement(
             time_au=0.1,
             agent_au=np.array([0.5, 0.5]),
@@ -95,23 +95,38 @@ def test_unseen_target_gives_absence_at_the_agent():
             target_au=np.array([[0.55, 0.5], [np.nan, np.nan]]),
         )
     )
-    mean, std = belief.posterior(np.array([[0.55, 0.5, 0.1], [0.5, 0.5, 0.1]]))
+    mean, std = Belief(sightings).posterior(np.array([[0.55, 0.5, 0.1], [0.5, 0.5, 0.1]]))
     assert mean[0, 0] == pytest.approx(1.0)
     assert mean[1].tolist() == [0.0, 0.0]
     assert std[0, 0] < 1e-4 < std[1, 0]
     assert std[1, 1] < 1e-4 < std[0, 1]
 
 
-def test_vehicle_belief_equals_the_batch():
+def test_the_fit_is_kept_until_the_log_grows():
+    sightings = Sightings(np.full((1, 2), 0.5))
+    belief = Belief(sightings)
+    first = belief.process
+    assert belief.process is first
+    sightings.add(next(measurements(1, 1)))
+    assert belief.process is not first
+
+
+def sorted_window(points, values, mask):
+    """Observations of each target that count, in the order of their time."""
+    rows = [np.column_stack([p[m], v[m]]) for p, v, m in zip(points, values, mask, strict=True)]
+    return [row[np.argsort(row[:, 2], kind="stable")] for row in rows]
+
+
+@pytest.mark.parametrize("spacing_au", [0.1, 0.03])
+def test_window_of_the_batch_is_that_of_the_log(spacing_au):
     num_targets, batch = 3, 4
+    rng = np.random.default_rng(5)
     store = ObservationStore(batch, num_targets, window_au=WINDOW_AU)
-    beliefs = [Belief(num_targets) for _ in range(batch)]
-    prior_au = np.random.default_rng(5).random((batch, num_targets, 2))
-    store.add_prior(torch.ones(batch, num_targets, dtype=torch.bool), torch.as_tensor(prior_au))
-    for b, belief in enumerate(beliefs):
-        for i in range(num_targets):
-            belief.add_prior(i, prior_au[b, i])
-    told = [list(measurements(70, num_targets, seed=b)) for b in range(batch)]
+    is_known = torch.as_tensor(rng.random((batch, num_targets)) < 0.5)
+    prior_au = rng.random((batch, num_targets, 2))
+    store.add_prior(is_known, torch.as_tensor(prior_au))
+    logs = [Sightings(np.where(is_known[b, :, None], prior_au[b], np.nan)) for b in range(batch)]
+    told = [list(measurements(90, num_targets, b, spacing_au)) for b in range(batch)]
     for together in zip(*told, strict=True):
         store.add(
             torch.tensor([m.time_au for m in together], dtype=torch.float64),
@@ -119,62 +134,16 @@ def test_vehicle_belief_equals_the_batch():
             torch.as_tensor(np.stack([m.seen for m in together])),
             torch.as_tensor(np.stack([m.target_au for m in together])),
         )
-        for belief, measurement in zip(beliefs, together, strict=True):
-            belief.add(measurement)
+        for log, measurement in zip(logs, together, strict=True):
+            log.add(measurement)
+        batched = [tensor.numpy() for tensor in store.window()]
+        for b, log in enumerate(logs):
+            got = sorted_window(*log.window(WINDOW_AU))
+            for ours, theirs in zip(got, sorted_window(*(a[b] for a in batched)), strict=True):
+                np.testing.assert_array_equal(ours, theirs)
     mean, std = fit(*store.window()).predict(torch.as_tensor(QUERY))
-    for b, belief in enumerate(beliefs):
-        got = belief.posterior(QUERY)
+    for b, log in enumerate(logs):
+        got = Belief(log).posterior(QUERY)
         np.testing.assert_allclose(got[0], mean[b], rtol=0, atol=1e-12)
         np.testing.assert_allclose(got[1], std[b], rtol=0, atol=1e-12)
-
-
-def test_target_that_joins_was_not_seen_before():
-    told = list(measurements(80, 1))
-    joined, always = Belief(0), Belief(2)
-    nothing = np.zeros((0, 2))
-    for m in told[:70]:
-        joined.add(
-            Measurement(
-                time_au=m.time_au, agent_au=m.agent_au, seen=np.zeros(0, bool), target_au=nothing
-            )
-        )
-        unseen = Measurement(
-            time_au=m.time_au,
-            agent_au=m.agent_au,
-            seen=np.zeros(2, bool),
-            target_au=np.full((2, 2), np.nan),
-        )
-        always.add(unseen)
-    assert joined.posterior(QUERY)[0].shape == (0, len(QUERY))
-    assert (joined.add_target(), joined.add_target()) == (0, 1)
-    for m in told[70:]:
-        both = Measurement(
-            time_au=m.time_au,
-            agent_au=m.agent_au,
-            seen=np.repeat(m.seen, 2),
-            target_au=np.repeat(m.target_au, 2, axis=0),
-        )
-        joined.add(both)
-        always.add(both)
-    for got, want in zip(joined.posterior(QUERY), always.posterior(QUERY), strict=True):
-        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
-
-
-def test_belief_refuses_what_it_cannot_take():
-    belief = Belief(2)
-    first, second = measurements(2, 2)
-    belief.add(second)
-    with pytest.raises(BeliefError, match="in the order of their time"):
-        belief.add(first)
-    with pytest.raises(BeliefError, match="add_target"):
-        belief.add(next(measurements(1, 3)))
-    for agent, target in ((np.nan, 0.5), (0.5, np.nan)):
-        with pytest.raises(BeliefError, match="not finite"):
-            belief.add(
-                Measurement(
-                    time_au=0.3,
-                    agent_au=np.array([0.5, agent]),
-                    seen=np.array([True, False]),
-                    target_au=np.array([[target, 0.5], [np.nan, np.nan]]),
-                )
-            )
+        np.testing.assert_array_equal(Belief(log).mean(QUERY), got[0])

@@ -19,6 +19,7 @@ class Route:
     def __init__(self, *points_au: tuple[float, float]) -> None:
         self._points_au = points_au
         self.snapshots: list[Snapshot] = []
+        self.num_told: list[int] = []
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         self.briefing = briefing
@@ -27,6 +28,7 @@ class Route:
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         point_au = self._points_au[len(self.snapshots) % len(self._points_au)]
         self.snapshots.append(snapshot)
+        self.num_told.append(len(snapshot.sightings))
         return Waypoint(position_au=np.array(point_au))
 
 
@@ -54,14 +56,16 @@ def test_planner_is_told_everything_once_with_the_time_of_its_arrival() -> None:
     route = Route((0.35, 0.1), (0.35, 0.35), (0.1, 0.35))
     fly_episode(route, walkers((0.4, 0.15)), Conditions(speed_ratio=0.1, horizon_au=0.7))
     first, second, third = route.snapshots
+    told = third.sightings.since(0)
     assert [s.time_au for s in route.snapshots] == pytest.approx([0.0, 0.25, 0.5])
     assert [s.remaining_au for s in route.snapshots] == pytest.approx([0.7, 0.45, 0.2])
-    assert [m.time_au for m in second.measurements] == pytest.approx([0.1, 0.2])
-    assert [m.time_au for m in third.measurements] == pytest.approx([0.3, 0.4, 0.5])
+    assert [s.flown_au for s in route.snapshots] == pytest.approx([0.0, 0.25, 0.5])
+    assert [m.time_au for m in told] == pytest.approx(np.arange(1, 8) / 10.0)
+    assert route.num_told == [0, 2, 5]
     assert first.node == 0
     np.testing.assert_allclose(first.roadmap.nodes_au[0], [0.1, 0.1])
     assert second.node is None
-    np.testing.assert_allclose(third.measurements[0].target_au, [[0.43, 0.15]])
+    np.testing.assert_allclose(told[2].target_au, [[0.43, 0.15]])
 
 
 @pytest.mark.parametrize(("prior", "known"), [("full", 2), ("number", 2), ("none", 0)])
@@ -79,9 +83,9 @@ def test_targets_join_in_the_order_of_their_first_sight() -> None:
     instance = walkers((0.9, 0.9), (0.5, 0.45), (0.35, 0.1))
     conditions = Conditions(speed_ratio=0.0, prior="none", horizon_au=0.9)
     episode = fly_episode(route, instance, conditions)
-    lengths = [len(m.seen) for s in route.snapshots for m in s.measurements]
-    assert lengths == [0, 1, 1, 1, 1, 1, 2, 2]
-    last = route.snapshots[-1].measurements[-1]
+    told = route.snapshots[-1].sightings.since(0)[:8]
+    assert [len(m.seen) for m in told] == [0, 1, 1, 1, 1, 1, 2, 2]
+    last = told[-1]
     assert last.seen.tolist() == [False, True]  # the second to be met is the true target 1
     np.testing.assert_allclose(last.target_au[1], [0.5, 0.45])
     assert route.snapshots[-1].belief.num_targets == 2

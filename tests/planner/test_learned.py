@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from dronemon.planner import Briefing, Snapshot
 from dronemon.planner.learned import LearnedPlanner
 from dronemon.policy import Card, Checkpoint, History, NetworkConfig, PolicyNetwork
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.types import Measurement
 from dronemon.world import Instance, measure, sample_leg
 
@@ -43,20 +45,17 @@ class Mission:
         self.roadmap = Roadmap.random(
             NUM_NODES, 10, self.instance.stream("roadmap"), self.instance.start_au
         )
-        self.belief = Belief(num_targets if is_known else 0)
+        priors_au = self.instance.paths.positions_au(0.0)
+        self.sightings = Sightings(priors_au if is_known else np.empty((0, 2)))
+        self.belief = Belief(self.sightings)
         self.is_known = is_known
-        if is_known:
-            for index, position in enumerate(self.instance.paths.positions_au(0.0)):
-                self.belief.add_prior(index, position)
         self.time_au, self.residual_au, self.node = 0.0, 0.0, 0
         self.order: list[int] = []
-        self.new: list[Measurement] = []
 
     def briefing(self) -> Briefing:
-        priors_au = self.instance.paths.positions_au(0.0)[: self.belief.num_targets]
         return Briefing(
-            num_targets=self.belief.num_targets,
-            priors_au=priors_au,
+            num_targets=self.sightings.num_targets,
+            priors_au=self.sightings.priors_au,
             start_au=self.instance.start_au,
             horizon_au=30.0,
             rng=np.random.default_rng(0),
@@ -65,9 +64,10 @@ class Mission:
     def snapshot(self) -> Snapshot:
         return Snapshot(
             time_au=self.time_au,
+            flown_au=self.time_au,
             position_au=self.roadmap.nodes_au[self.node],
             node=self.node,
-            measurements=tuple(self.new),
+            sightings=self.sightings,
             belief=self.belief,
             roadmap=self.roadmap,
             remaining_au=30.0 - self.time_au,
@@ -76,29 +76,26 @@ class Mission:
     def fly_to(self, node: int) -> None:
         start_au, end_au = self.roadmap.nodes_au[self.node], self.roadmap.nodes_au[node]
         leg = sample_leg(start_au, end_au, self.residual_au)
-        self.new = []
         for offset_au, position_au in zip(leg.offsets_au, leg.positions_au, strict=True):
             now_au = self.time_au + float(offset_au)
             targets_au = self.instance.paths.positions_au(SPEED * now_au)
-            self.new.append(self._take(measure(now_au, position_au, targets_au)))
+            self._take(measure(now_au, position_au, targets_au))
         self.residual_au = leg.residual_au
         self.time_au += float(np.hypot(*(end_au - start_au)))
         self.node = node
 
-    def _take(self, measurement: Measurement) -> Measurement:
+    def _take(self, measurement: Measurement) -> None:
         if not self.is_known:
             for index in np.flatnonzero(measurement.seen):
                 if int(index) not in self.order:
                     self.order.append(int(index))
-                    self.belief.add_target()
             measurement = Measurement(
                 time_au=measurement.time_au,
                 agent_au=measurement.agent_au,
                 seen=measurement.seen[self.order],
                 target_au=measurement.target_au[self.order],
             )
-        self.belief.add(measurement)
-        return measurement
+        self.sightings.add(measurement)
 
 
 def test_it_decides_as_in_the_environment_it_was_trained_in() -> None:
@@ -155,15 +152,7 @@ def test_away_from_every_node_it_decides_at_the_nearest() -> None:
     mission = Mission(10_003, 2)
     planner.reset(mission.briefing(), mission.roadmap)
     at_node = mission.snapshot()
-    away = Snapshot(
-        time_au=at_node.time_au,
-        position_au=at_node.position_au + 1e-3,
-        node=None,
-        measurements=(),
-        belief=at_node.belief,
-        roadmap=at_node.roadmap,
-        remaining_au=at_node.remaining_au,
-    )
+    away = replace(at_node, position_au=at_node.position_au + 1e-3, node=None)
     chosen = planner.next_waypoint(away).node
     assert chosen in mission.roadmap.neighbours[0]
 

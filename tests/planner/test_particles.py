@@ -2,14 +2,26 @@ import numpy as np
 import pytest
 
 from dronemon.planner.particles import MotionSettings, ParticleBelief, SpeedBelief
+from dronemon.sightings import Sightings
 from dronemon.types import Measurement
 from dronemon.world import Instance, measure
 
 
-def particle_belief(priors_au, seed=0):
-    return ParticleBelief(
-        np.array(priors_au, dtype=float), MotionSettings(), np.random.default_rng(seed)
-    )
+class Told:
+    """Particles, and the log that they fold over."""
+
+    def __init__(self, priors_au, seed=0):
+        priors_au = np.array(priors_au, dtype=float)
+        self.sightings = Sightings(priors_au)
+        self.particles = ParticleBelief(priors_au, MotionSettings(), np.random.default_rng(seed))
+
+    def update(self, measurement):
+        self.sightings.add(measurement)
+        self.particles.learn(self.sightings)
+
+    @property
+    def walkers(self):
+        return self.particles.targets[0].walkers
 
 
 def sighting(time_au, target_au):
@@ -29,12 +41,12 @@ def miss(time_au, agent_au):
 
 
 def test_particles_start_at_the_prior():
-    belief = particle_belief([[0.3, 0.4]])
-    assert np.all(belief.tracks[0].walkers[:2] == [[0.3], [0.4]])
+    belief = Told([[0.3, 0.4]])
+    assert np.all(belief.walkers[:2] == [[0.3], [0.4]])
 
 
 def test_unknown_target_may_be_anywhere():
-    walkers = particle_belief([[np.nan, np.nan]]).tracks[0].walkers
+    walkers = Told([[np.nan, np.nan]]).walkers
     assert walkers[:2].min() < 0.1
     assert walkers[:2].max() > 0.9
 
@@ -42,45 +54,45 @@ def test_unknown_target_may_be_anywhere():
 @pytest.mark.parametrize("speed", [1 / 30, 1 / 10, 1 / 7])
 def test_speed_is_learned_from_a_minute_of_sightings(speed):
     instance = Instance.draw(10_000, 2)
-    belief = particle_belief(instance.paths.positions_au(0.0))
+    belief = Told(instance.paths.positions_au(0.0))
     for step in range(1, 31):
         places = instance.paths.positions_au(0.1 * step * speed)
         target = step // 5 % 2
         belief.update(measure(0.1 * step, places[target], places))
-    assert belief.speed.mean == pytest.approx(speed, rel=0.1)
+    assert belief.particles.speed.mean == pytest.approx(speed, rel=0.1)
 
 
 def test_sighting_puts_all_particles_at_one_place_and_on_the_seen_heading():
-    belief = particle_belief([[0.5, 0.5]])
+    belief = Told([[0.5, 0.5]])
     belief.update(sighting(0.1, (0.51, 0.5)))
     belief.update(sighting(0.2, (0.52, 0.5)))
-    walkers = belief.tracks[0].walkers
+    walkers = belief.walkers
     assert np.all(walkers[:2] == [[0.52], [0.5]])
     assert np.median(np.abs(walkers[2])) < 0.2
 
 
 def test_miss_leaves_no_particle_in_view():
-    belief = particle_belief([[0.5, 0.5]])
+    belief = Told([[0.5, 0.5]])
     belief.update(sighting(0.1, (0.5, 0.5)))
-    belief.advance(1.5)
+    belief.particles.advance(1.5)
     belief.update(miss(1.6, (0.55, 0.5)))
-    x, y = belief.tracks[0].walkers[:2]
+    x, y = belief.walkers[:2]
     assert np.all((x - 0.55) ** 2 + (y - 0.5) ** 2 >= 0.01 - 1e-12)
 
 
 def test_misses_everywhere_never_leave_a_target_without_particles():
-    belief = particle_belief([[0.5, 0.5]])
+    belief = Told([[0.5, 0.5]])
     rng = np.random.default_rng(1)
     for step in range(1, 200):
         belief.update(miss(0.1 * step, rng.random(2)))
-    walkers = belief.tracks[0].walkers
+    walkers = belief.walkers
     assert walkers.shape == (3, MotionSettings().num_particles)
     assert np.isfinite(walkers).all()
 
 
 def test_particles_stay_in_the_square():
-    belief = particle_belief([[0.01, 0.99]])
-    now, later = belief.futures(50, 40, 0.1)
+    belief = Told([[0.01, 0.99]])
+    now, later = belief.particles.futures(50, 40, 0.1)
     assert now.shape == (1, 50, 2)
     assert later.shape == (40, 1, 50, 2)
     assert later.min() >= 0.0
@@ -88,18 +100,18 @@ def test_particles_stay_in_the_square():
 
 
 def test_futures_leave_the_belief_as_it_is():
-    belief = particle_belief([[0.2, 0.2]])
-    before = belief.tracks[0].walkers.copy()
-    belief.futures(50, 20, 0.1)
-    assert np.array_equal(before, belief.tracks[0].walkers)
+    belief = Told([[0.2, 0.2]])
+    before = belief.walkers.copy()
+    belief.particles.futures(50, 20, 0.1)
+    assert np.array_equal(before, belief.walkers)
 
 
 def test_same_seed_gives_same_particles():
-    beliefs = [particle_belief([[0.5, 0.5]], seed=3) for _ in range(2)]
+    beliefs = [Told([[0.5, 0.5]], seed=3) for _ in range(2)]
     for belief in beliefs:
         belief.update(sighting(0.1, (0.51, 0.5)))
         belief.update(miss(0.2, (0.9, 0.9)))
-    assert np.array_equal(beliefs[0].tracks[0].walkers, beliefs[1].tracks[0].walkers)
+    assert np.array_equal(beliefs[0].walkers, beliefs[1].walkers)
 
 
 def test_noisy_sightings_do_not_mislead_the_speed():

@@ -1,29 +1,8 @@
 import numpy as np
 import pytest
-import torch
 
-from dronemon.belief import fit
 from dronemon.planner import scoring
 from dronemon.planner.search import SearchSettings
-
-
-def test_mean_fields_are_the_beliefs_means():
-    rng = np.random.default_rng(10_000)
-    counts = np.array([20, 0, 7])
-    points = np.concatenate([rng.random((3, 20, 2)), 6.0 * rng.random((3, 20, 1))], axis=-1)
-    values = (rng.random((3, 20)) < 0.3).astype(np.float64)
-    size = scoring.MEAN_CELLS
-    got = np.empty((3, size, size), dtype=np.float32)
-    scoring.mean_fields(points, values, counts, 6.0, got)
-
-    centres = (torch.arange(size, dtype=torch.float64) + 0.5) / size
-    grid = torch.stack(torch.meshgrid(centres, centres, indexing="ij"), dim=-1).reshape(-1, 2)
-    query = torch.cat([grid, torch.full((size**2, 1), 6.0, dtype=torch.float64)], dim=-1)
-    mask = torch.arange(20) < torch.as_tensor(counts)[:, None]
-    belief = fit(torch.as_tensor(points), torch.as_tensor(values), mask)
-    expected = belief.mean(query).reshape(3, size, size).numpy()
-    assert np.abs(got - expected).max() < 0.01  # the table is that coarse at the kernel's peak
-    assert not got[1].any()
 
 
 @pytest.mark.parametrize(("place", "gains"), [((0.47, 0.5), False), ((0.3, 0.5), True)])

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dronemon.belief import Belief
 from dronemon.errors import PlannerError
 from dronemon.planner import Briefing, Snapshot
 from dronemon.planner.search import (
@@ -12,6 +13,7 @@ from dronemon.planner.search import (
     SearchSettings,
 )
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.world import Instance, measure, sample_leg
 
 QUICK = SearchSettings(num_drawn=40, num_refined=20, num_planned=30)
@@ -50,17 +52,22 @@ def fly(
         roadmap,
     )
     met: list[int] = list(range(known))
+    sightings = Sightings(priors)
+    belief = Belief(sightings)
     rng = np.random.default_rng(seed)
     position, node, time, residual, pending = instance.start_au, 0, 0.0, 0.0, []
     places, seen, waiting = [], [], []
     while time < length_au - 1e-9:
+        for measurement in waiting if is_late else pending:
+            sightings.add(measurement)
         waypoint = planner.next_waypoint(
             Snapshot(
                 time_au=time,
+                flown_au=time,
                 position_au=position,
                 node=node,
-                measurements=tuple(waiting if is_late else pending),
-                belief=None,  # type: ignore[arg-type]  # the search keeps its own
+                sightings=sightings,
+                belief=belief,
                 roadmap=roadmap,
                 remaining_au=length_au - time,
             )
@@ -129,15 +136,18 @@ def test_roadmap_search_stays_on_edges_and_scores_every_neighbour():
         ),
         roadmap,
     )
+    sightings = Sightings(instance.paths.positions_au(0.0))
+    belief = Belief(sightings)
     node, position, time = 0, instance.start_au, 0.0
     for _ in range(10):
         waypoint = planner.next_waypoint(
             Snapshot(
                 time_au=time,
+                flown_au=time,
                 position_au=position,
                 node=node,
-                measurements=(),
-                belief=None,  # type: ignore[arg-type]  # the search keeps its own
+                sightings=sightings,
+                belief=belief,
                 roadmap=roadmap,
                 remaining_au=30.0 - time,
             )

@@ -13,6 +13,7 @@ from dronemon.planner import Briefing, Snapshot, create_planner
 from dronemon.planner.tour import shortest_loop
 from dronemon.planner.tsp import CarriedOn, LastSeen, Predicted, TspLoop, Whereabouts
 from dronemon.roadmap import Roadmap
+from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
 
 ROADMAP = Roadmap.random(10, 4, np.random.default_rng(0), np.array([0.5, 0.5]))
@@ -42,19 +43,28 @@ def sight(time_au: float, places: dict[int, Sequence[float]], num_targets: int) 
     )
 
 
-def snapshot(time_au: float, position_au: Sequence[float], *measurements: Measurement) -> Snapshot:
-    belief = Belief(len(measurements[-1].seen) if measurements else 0)
-    for measurement in measurements:
-        belief.add(measurement)
-    return Snapshot(
-        time_au=time_au,
-        position_au=np.array(position_au),
-        node=None,
-        measurements=measurements,
-        belief=belief,
-        roadmap=ROADMAP,
-        remaining_au=30.0 - time_au,
-    )
+class Told:
+    """Makes the snapshots of one mission."""
+
+    def __init__(self, priors_au: FloatArray) -> None:
+        self.sightings = Sightings(priors_au)
+        self.briefing = briefing(priors_au)
+
+    def __call__(
+        self, time_au: float, position_au: Sequence[float], *measurements: Measurement
+    ) -> Snapshot:
+        for measurement in measurements:
+            self.sightings.add(measurement)
+        return Snapshot(
+            time_au=time_au,
+            flown_au=time_au,
+            position_au=np.array(position_au),
+            node=None,
+            sightings=self.sightings,
+            belief=Belief(self.sightings),
+            roadmap=ROADMAP,
+            remaining_au=30.0 - time_au,
+        )
 
 
 @settings(max_examples=20, deadline=None)
@@ -79,7 +89,8 @@ def test_loop_round_a_circle_is_the_circle(count: int) -> None:
 
 def test_goal_moves_with_its_target_and_is_skipped_where_it_is_not_found() -> None:
     planner = TspLoop("tsp", LastSeen())
-    planner.reset(briefing(np.array([[0.1, 0.5], [0.9, 0.5]])), ROADMAP)
+    snapshot = Told(np.array([[0.1, 0.5], [0.9, 0.5]]))
+    planner.reset(snapshot.briefing, ROADMAP)
     first = planner.next_waypoint(snapshot(0.0, [0.4, 0.5]))
     np.testing.assert_allclose(first.position_au, [0.3, 0.5])
     seen = planner.next_waypoint(snapshot(0.1, [0.3, 0.5], sight(0.1, {0: (0.3, 0.58)}, 2)))
@@ -94,7 +105,8 @@ def test_goal_moves_with_its_target_and_is_skipped_where_it_is_not_found() -> No
 
 def test_loop_is_flown_on_in_the_same_sense() -> None:
     planner = TspLoop("tsp", LastSeen())
-    planner.reset(briefing(np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]])), ROADMAP)
+    snapshot = Told(np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]]))
+    planner.reset(snapshot.briefing, ROADMAP)
     here, goals = np.array([0.1, 0.2]), []
     for step in range(1, 41):
         nudged = {step % 4: ([0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9])[step % 4]}
@@ -113,14 +125,16 @@ def test_loop_is_flown_on_in_the_same_sense() -> None:
     [(LastSeen(), [0.4, 0.5]), (CarriedOn(), [0.5, 0.5])],
 )
 def test_where_a_walker_is_thought_to_be(whereabouts: Whereabouts, expected: list[float]) -> None:
-    whereabouts.reset(briefing(np.array([[0.2, 0.5]])))
+    snapshot = Told(np.array([[0.2, 0.5]]))
+    whereabouts.reset(snapshot.briefing)
     whereabouts.take(snapshot(2.0, [0.5, 0.5], sight(2.0, {0: (0.4, 0.5)}, 1)))
     np.testing.assert_allclose(whereabouts.at(3.0)[0], expected)
 
 
 def test_belief_is_thought_to_peak_where_the_target_was_seen() -> None:
     whereabouts = Predicted()
-    whereabouts.reset(briefing(np.full((2, 2), np.nan)))
+    snapshot = Told(np.full((2, 2), np.nan))
+    whereabouts.reset(snapshot.briefing)
     whereabouts.take(snapshot(0.1, [0.5, 0.5], sight(0.1, {1: (0.55, 0.45)}, 2)))
     places_au = whereabouts.at(0.1)
     assert np.isnan(places_au[0]).all()
@@ -129,7 +143,8 @@ def test_belief_is_thought_to_peak_where_the_target_was_seen() -> None:
 
 def test_lanes_are_flown_until_every_target_was_found() -> None:
     planner = create_planner("tsp")
-    planner.reset(briefing(np.array([[0.3, 0.3], [np.nan, np.nan]])), ROADMAP)
+    snapshot = Told(np.array([[0.3, 0.3], [np.nan, np.nan]]))
+    planner.reset(snapshot.briefing, ROADMAP)
     assert "goal" not in planner.next_waypoint(snapshot(0.0, [0.5, 0.5])).details
     found = snapshot(0.1, [0.5, 0.5], sight(0.1, {1: (0.55, 0.45)}, 2))
     assert planner.next_waypoint(found).details["goal"] in (0, 1)
@@ -137,7 +152,8 @@ def test_lanes_are_flown_until_every_target_was_found() -> None:
 
 def test_targets_that_join_are_added_to_the_loop() -> None:
     planner = create_planner("tsp")
-    planner.reset(briefing(np.empty((0, 2))), ROADMAP)
+    snapshot = Told(np.empty((0, 2)))
+    planner.reset(snapshot.briefing, ROADMAP)
     one = snapshot(5.0, [0.5, 0.5], sight(5.0, {0: (0.5, 0.55)}, 1))
     assert planner.next_waypoint(one).details["loop"] == [0]
     two = snapshot(5.1, [0.5, 0.6], sight(5.1, {1: (0.5, 0.65)}, 2))

@@ -1,0 +1,161 @@
+"""One mission's log of what the sensor said; all else that is known of the targets is read off it.
+
+Beliefs, particles, tracks, tours and the summary of a flight read it or fold over it: who folds
+remembers how many measurements it has taken in, and asks for those `since`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dronemon.errors import BeliefError
+from dronemon.types import BoolArray, FloatArray, Measurement
+
+
+class Window(NamedTuple):
+    """What a Gaussian process of each target is given. Column 0 is the prior, then oldest first.
+
+    points: (N, n, 3) float64 au x, y, t: the target's place where seen, the agent's where not
+    values: (N, n)    float64 1 where seen, 0 where not
+    mask:   (N, n)    bool    whether there is such an observation
+
+    Source: paper, equation 1 and section III-C.
+    """
+
+    points: FloatArray
+    values: FloatArray
+    mask: BoolArray
+
+
+class Sight(NamedTuple):
+    """When and where a target was seen, in au."""
+
+    time_au: float
+    x_au: float
+    y_au: float
+
+
+class Sightings:
+    """Grows by a measurement at a time; index i always means the same target.
+
+    A measurement of more targets than before lets these join: earlier ones did not see them.
+    """
+
+    def __init__(self, priors_au: FloatArray) -> None:
+        """priors_au: (N, 2) float64 au places of the known targets at time 0, NaN where unknown."""
+        self._measurements: list[Measurement] = []
+        self._sights: list[list[Sight]] = [
+            [] if np.isnan(prior_au).any() else [Sight(0.0, *prior_au.tolist())]
+            for prior_au in priors_au
+        ]
+        self.priors_au: FloatArray = priors_au.reshape(-1, 2)
+
+    def __len__(self) -> int:
+        """Measurements taken."""
+        return len(self._measurements)
+
+    @property
+    def num_targets(self) -> int:
+        """N: targets known of."""
+        return len(self._sights)
+
+    @property
+    def time_au(self) -> float:
+        """When the last measurement was taken; 0 before the first."""
+        return self._measurements[-1].time_au if self._measurements else 0.0
+
+    @property
+    def last_seen_au(self) -> FloatArray:
+        """(N,) float64 au when each target was last seen, a prior counted; -inf if never."""
+        return np.array([sights[-1].time_au if sights else -math.inf for sights in self._sights])
+
+    @property
+    def last_places_au(self) -> FloatArray:
+        """(N, 2) float64 au where each target was last seen, a prior counted; NaN if never."""
+        nowhere = (math.nan, math.nan)
+        places = [sights[-1][1:] if sights else nowhere for sights in self._sights]
+        return np.array(places, dtype=np.float64).reshape(-1, 2)
+
+    @property
+    def num_seen(self) -> list[int]:
+        """Measurements that saw each target."""
+        return [len(s) - int(p) for s, p in zip(self._sights, self._has_prior, strict=True)]
+
+    @property
+    def _has_prior(self) -> BoolArray:
+        """(N,) whether each target's place was known at time 0."""
+        has_prior: BoolArray = np.isfinite(self.priors_au.sum(axis=1))
+        return has_prior
+
+    def add(self, measurement: Measurement) -> None:
+        """Take in what the sensor said about every target.
+
+        Raises BeliefError if it is older than the last one, not finite, or of fewer targets.
+        """
+        self._check(measurement)
+        joined = len(measurement.seen) - self.num_targets
+        self.priors_au = np.pad(self.priors_au, ((0, joined), (0, 0)), constant_values=np.nan)
+        self._sights += [[] for _ in range(joined)]
+        self._measurements.append(measurement)
+        for target in np.flatnonzero(measurement.seen):
+            x_au, y_au = measurement.target_au[target].tolist()
+            self._sights[target].append(Sight(measurement.time_au, x_au, y_au))
+
+    def _check(self, measurement: Measurement) -> None:
+        seen, target_au = measurement.seen, measurement.target_au
+        if len(seen) < self.num_targets or target_au.shape != (len(seen), 2):
+            raise BeliefError(
+                f"measurement of {len(seen)} targets, with places of {len(target_au)}, given where"
+                f" {self.num_targets} are known; say of each one whether and where it was seen"
+            )
+        if not measurement.time_au >= self.time_au:
+            raise BeliefError(
+                f"measurement at {measurement.time_au:g} au given after {self.time_au:g} au;"
+                " add measurements in the order of their time"
+            )
+        if not (np.isfinite(measurement.agent_au).all() and np.isfinite(target_au[seen]).all()):
+            raise BeliefError(
+                f"measurement at {measurement.time_au:g} au has positions that are not finite:"
+                f" agent {measurement.agent_au}, targets seen {target_au[seen].tolist()}"
+            )
+
+    def since(self, count: int) -> Sequence[Measurement]:
+        """All measurements after the first `count`, oldest first."""
+        return self._measurements[count:]
+
+    def sights(self, target: int, before_au: float, most: int) -> list[Sight]:
+        """The latest sights of a target before a time, oldest first; a prior is the first."""
+        sights = self._sights[target] if target < self.num_targets else []
+        end = len(sights)
+        while end > 0 and sights[end - 1].time_au >= before_au:
+            end -= 1
+        return sights[max(0, end - most) : end]
+
+    def window(self, span_au: float, num_targets: int | None = None) -> Window:
+        """Observations younger than a span at the time of the last measurement.
+
+        num_targets: by default all that are known; more of them were never seen
+        """
+        num_targets = self.num_targets if num_targets is None else num_targets
+        first = len(self)
+        while first > 0 and self.time_au - self._measurements[first - 1].time_au < span_au:
+            first -= 1
+        recent = self._measurements[first:]
+        points = np.zeros((num_targets, 1 + len(recent), 3))
+        values = np.zeros(points.shape[:2])
+        mask = np.ones(points.shape[:2], dtype=np.bool_)
+        for column, measurement in enumerate(recent, start=1):
+            seen = np.flatnonzero(measurement.seen)
+            points[:, column, :2] = measurement.agent_au
+            points[:, column, 2] = measurement.time_au
+            points[seen, column, :2] = measurement.target_au[seen]
+            values[seen, column] = 1.0
+        known = np.flatnonzero(self._has_prior)
+        mask[:, 0] = False
+        mask[known, 0] = self.time_au < span_au
+        points[known, 0, :2], values[known, 0] = self.priors_au[known], 1.0
+        return Window(points, values, mask)
