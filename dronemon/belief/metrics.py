@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dronemon.arena import ARENA
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.kernel import Matern32
 from dronemon.problem import (
@@ -30,7 +31,8 @@ from dronemon.types import BoolArray, FloatArray
 
 GRID_SIZE = 40
 """Points of the evaluation grid along each axis, both borders included."""
-_AREA_SPAN = math.floor(2.0 * SENSOR_RADIUS_AU * (GRID_SIZE - 1)) + 1
+_STEPS_PER_AU = (GRID_SIZE - 1) / ARENA.extent_au
+_AREA_SPAN = math.floor(2.0 * SENSOR_RADIUS_AU * _STEPS_PER_AU.max()) + 1
 """Most grid points of a target area along one axis."""
 _JSD_FLOOR = 1e-8
 _INSTANTS_AT_ONCE = 16
@@ -41,22 +43,34 @@ def evaluation_grid(
     dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
 ) -> Tensor:
     """Points at which beliefs are compared with the truth. -> (1600, 2) au, y changing fastest."""
-    axis = torch.linspace(0.0, 1.0, GRID_SIZE, dtype=dtype, device=device)
-    return torch.cartesian_prod(axis, axis)
+    return torch.as_tensor(ARENA.grid(GRID_SIZE), dtype=dtype, device=device)
 
 
 def target_area(targets_au: Tensor) -> tuple[Tensor, Tensor]:
-    """Grid points nearer than 0.1 to each target.
+    """Grid points nearer than 0.1 au to each target.
 
-    targets_au: (..., 2) au -> points (..., 64, 2) au, is_inside (..., 64) bool.
+    A target so far outside the arena that there are none has the area of the arena's nearest place.
 
-    The points are the square of grid points around the target; some are outside the area.
+    targets_au: (..., 2) au
+    -> points (..., 64, 2) au, the square of grid points around the target, and
+       is_inside (..., 64) bool, which of them are in the area
     """
-    first = torch.ceil((targets_au - SENSOR_RADIUS_AU) * (GRID_SIZE - 1))  # (..., 2)
+    points, is_inside = _points_around(targets_au)
+    if bool(is_inside.any(dim=-1).all()):
+        return points, is_inside
+    low, high = targets_au.new_tensor(ARENA.bounds)
+    is_outside = ~is_inside.any(dim=-1, keepdim=True)
+    return _points_around(torch.where(is_outside, targets_au.clamp(low, high), targets_au))
+
+
+def _points_around(targets_au: Tensor) -> tuple[Tensor, Tensor]:
+    low = targets_au.new_tensor(ARENA.low_au)
+    per_au = targets_au.new_tensor(_STEPS_PER_AU)
+    first = torch.ceil((targets_au - SENSOR_RADIUS_AU - low) * per_au)  # (..., 2)
     steps = torch.arange(_AREA_SPAN, dtype=targets_au.dtype, device=targets_au.device)
     axes = first[..., None] + steps  # (..., 2, 8)
     is_on_grid = (axes >= 0) & (axes < GRID_SIZE)
-    axes = axes / (GRID_SIZE - 1)
+    axes = axes / per_au[:, None] + low[:, None]
     shape = (*targets_au.shape[:-1], _AREA_SPAN, _AREA_SPAN)
     points = torch.stack(
         [axes[..., 0, :, None].expand(shape), axes[..., 1, None, :].expand(shape)], dim=-1
@@ -82,10 +96,9 @@ def jensen_shannon(mean: Tensor, targets_au: Tensor) -> Tensor:
 
     mean: (..., 1600) posterior mean on the grid; targets_au: (..., 2) au -> (...) in [0, ln 2] nat.
     """
-    axis = torch.linspace(0.0, 1.0, GRID_SIZE, dtype=mean.dtype, device=mean.device)
-    along = torch.exp(
-        -0.5 * ((axis - targets_au[..., None]) / PRESENCE_STD_AU).square()
-    )  # (..., 2, 40)
+    axes = torch.as_tensor(ARENA.axes(GRID_SIZE), dtype=mean.dtype, device=mean.device)
+    # (..., 2, 40)
+    along = torch.exp(-0.5 * ((axes - targets_au[..., None]) / PRESENCE_STD_AU).square())
     bump = (along[..., 0, :, None] * along[..., 1, None, :]).flatten(-2)
     p, q = _normalised(bump), _normalised(mean.clamp_min(0.0))
     middle = 0.5 * (p + q)

@@ -12,17 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief, EpisodeMetrics, episode_metrics
 from dronemon.errors import PlannerError
 from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
+from dronemon.planner.motion import waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, Prior
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.types import BoolArray, FloatArray, Measurement
 from dronemon.world import Instance, measure, sample_leg
-
-SHORTEST_STEP_AU = 1e-9
-"""A planner whose waypoint is nearer than this would never get anywhere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,12 +118,12 @@ def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) ->
         began_s = time.perf_counter()
         waypoint = planner.next_waypoint(snapshot)
         decisions_s.append(time.perf_counter() - began_s)
-        try:
-            agent.fly_to(waypoint.position_au, waypoint.node)
-        except ValueError as exc:
+        if flaw := waypoint_flaw(waypoint.position_au, snapshot.position_au, ARENA):
             raise PlannerError(
-                f"planner {planner.name}, seed {instance.seed}, at {snapshot.time_au:.3f} au: {exc}"
-            ) from exc
+                f"planner {planner.name}, seed {instance.seed}, gave at {snapshot.time_au:.3f} au"
+                f" {flaw}"
+            )
+        agent.fly_to(waypoint.position_au, waypoint.node)
     return agent.episode(np.array(decisions_s))
 
 
@@ -164,11 +163,7 @@ class _Agent:
         )
 
     def fly_to(self, waypoint_au: FloatArray, node: int | None) -> None:
-        """Fly to a point of the square, measuring on the way. Raises ValueError if it is none."""
-        if not (np.all(waypoint_au >= -1e-9) and np.all(waypoint_au <= 1.0 + 1e-9)):
-            raise ValueError(f"waypoint {waypoint_au} is not in the unit square")
-        if np.linalg.norm(waypoint_au - self._position_au) < SHORTEST_STEP_AU:
-            raise ValueError(f"waypoint {waypoint_au} is where the agent is, which cannot stop")
+        """Fly to a place of the arena, measuring on the way."""
         leg = sample_leg(self._position_au, waypoint_au, self._residual_au)
         for position_au in leg.positions_au:
             if self.is_done:

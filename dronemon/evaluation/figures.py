@@ -97,12 +97,18 @@ def draw_overview(episode: Episode, instant: int, title: str, path: Path) -> Non
     figure = Figure(figsize=(2.5 * num_columns, 2.7 * num_rows + 2.2), layout="constrained")
     grid = figure.add_gridspec(num_rows + 1, num_columns, height_ratios=[1.3] * num_rows + [1.0])
     mean = believe(episode, instant)
+    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
     for index in range(num_targets + 1):
         panel = figure.add_subplot(grid[index // num_columns, index % num_columns])
         is_all = index == num_targets
         field = mean.max(axis=0) if is_all else mean[index]
         panel.imshow(
-            field.T, origin="lower", extent=(0.0, 1.0, 0.0, 1.0), vmin=0.0, vmax=1.0, cmap="viridis"
+            field.T,
+            origin="lower",
+            extent=(left, right, bottom, top),
+            vmin=0.0,
+            vmax=1.0,
+            cmap="viridis",
         )
         _draw_truth(panel, episode, instant, range(num_targets) if is_all else [index])
         if is_all:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dronemon.arena import ARENA, Arena
 from dronemon.errors import OptionError
 from dronemon.planner.motion import ARRIVED_AU
 from dronemon.planner.planner import Briefing, Snapshot, Waypoint
@@ -22,8 +23,8 @@ NUM_LANES = 4
 """Chosen among 2 to 10 on development seeds; see `sweep_track`."""
 
 
-def sweep_track(num_lanes: int = NUM_LANES) -> FloatArray:
-    """Corners of a closed sweep of the square, flown round and round. -> (2 num_lanes, 2) au.
+def sweep_track(arena: Arena = ARENA, num_lanes: int = NUM_LANES) -> FloatArray:
+    """Corners of a closed sweep of the arena, flown round and round. -> (2 num_lanes, 2) au.
 
     Lanes lie 1/n apart and half of that inside the border. All but the first and the last stop
     short of one side, where the way back runs: a closed sweep returns to every place after the
@@ -43,12 +44,13 @@ def sweep_track(num_lanes: int = NUM_LANES) -> FloatArray:
         inner = near if lane in (0, num_lanes - 1) else near + spacing
         ends = ((inner, y), (far, y))
         corners += ends if lane % 2 == 0 else ends[::-1]
-    return np.array(corners)
+    low_au, _ = arena.bounds
+    track_au: FloatArray = low_au + arena.extent_au * np.array(corners)
+    return track_au
 
 
-def sweep_length_au(num_lanes: int = NUM_LANES) -> float:
-    """Length of one closed sweep, after which every lane was flown once."""
-    track_au = sweep_track(num_lanes)
+def sweep_length_au(track_au: FloatArray) -> float:
+    """Length of one closed sweep, after which every lane was flown once. track_au: (C, 2) au."""
     return float(np.linalg.norm(track_au - np.roll(track_au, 1, axis=0), axis=-1).sum())
 
 
@@ -78,13 +80,9 @@ class Lawnmower:
 
     name = "lawnmower"
 
-    def __init__(self, num_lanes: int = NUM_LANES) -> None:
-        self._track_au = sweep_track(num_lanes)
-        self._sweep = Sweep(track_au=self._track_au)
-
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Begin at the corner nearest to wherever the mission starts."""
-        self._sweep = Sweep(track_au=self._track_au)
+        self._sweep = Sweep(track_au=sweep_track(briefing.arena))
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """Give the next corner."""

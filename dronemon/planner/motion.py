@@ -1,4 +1,4 @@
-"""Small moves that planners share: a step towards a point, and a circle around one."""
+"""Small moves that planners share, and what a waypoint must be."""
 
 from __future__ import annotations
 
@@ -6,18 +6,33 @@ import math
 
 import numpy as np
 
+from dronemon.arena import Arena
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.types import FloatArray
 
 ARRIVED_AU = 1e-6
-"""Distance at which a point counts as reached; no waypoint may be nearer."""
+"""Distance at which a point counts as reached; no waypoint may be nearer: see `waypoint_flaw`."""
 ORBIT_RADIUS_AU = 0.05
 ORBIT_STEP_RAD = math.pi / 3.0
 
 
-def until_measurement_au(time_au: float) -> float:
+def waypoint_flaw(waypoint_au: FloatArray, here_au: FloatArray, arena: Arena) -> str | None:
+    """Why a waypoint cannot be flown to; None if it can. waypoint_au, here_au: (2,) au."""
+    if not np.isfinite(waypoint_au).all():
+        return f"waypoint {waypoint_au}, which is no place"
+    if not arena.segment_is_free(here_au, waypoint_au):
+        return f"waypoint {waypoint_au}, which is not in the arena"
+    if math.dist(waypoint_au, here_au) <= ARRIVED_AU:
+        return (
+            f"waypoint {waypoint_au}, which is where the agent is; it cannot stop, so give one"
+            f" farther than {ARRIVED_AU:g} au"
+        )
+    return None
+
+
+def until_measurement_au(flown_au: float) -> float:
     """Distance from here to the next measurement; a whole interval where one was just taken."""
-    since = math.fmod(time_au, MEASUREMENT_INTERVAL_AU)
+    since = math.fmod(flown_au, MEASUREMENT_INTERVAL_AU)
     left = MEASUREMENT_INTERVAL_AU - since
     return left if left > ARRIVED_AU else MEASUREMENT_INTERVAL_AU
 
@@ -29,9 +44,9 @@ def step_towards(position_au: FloatArray, goal_au: FloatArray, step_au: float) -
     return goal_au if distance <= step_au else position_au + offset * (step_au / distance)
 
 
-def orbit(position_au: FloatArray, centre_au: FloatArray) -> FloatArray:
+def orbit(position_au: FloatArray, centre_au: FloatArray, arena: Arena) -> FloatArray:
     """Next corner of a small hexagon around a point, for an agent that cannot stop. -> (2,)."""
-    centre = np.clip(centre_au, ORBIT_RADIUS_AU, 1.0 - ORBIT_RADIUS_AU)
+    centre = arena.clip(centre_au, ORBIT_RADIUS_AU)
     offset = position_au - centre
     bearing = math.atan2(offset[1], offset[0]) + ORBIT_STEP_RAD
     return centre + ORBIT_RADIUS_AU * np.array([math.cos(bearing), math.sin(bearing)])

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
+from dronemon.planner.moving import is_inside
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sightings import Sight, Sightings
 from dronemon.types import FloatArray, IntArray, Measurement
@@ -67,21 +68,21 @@ def _turned(heading, quantiles, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _step(x, y, heading, distance, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
-    """Walk one target a short distance inside the square. -> x, y, heading."""
+def _step(x, y, heading, distance, turns_per_au, quantiles, bounds, rng):  # type: ignore[no-untyped-def]
+    """Walk one target a short distance inside the arena. -> x, y, heading."""
     if rng.random() < 1.0 - math.exp(-turns_per_au * distance):
         heading = _turned(heading, quantiles, rng)
     for _ in range(_TRIES):
         next_x = x + distance * math.cos(heading)
         next_y = y + distance * math.sin(heading)
-        if 0.0 <= next_x <= 1.0 and 0.0 <= next_y <= 1.0:
+        if is_inside(bounds, next_x, next_y):
             return next_x, next_y, heading
         heading = _turned(heading, quantiles, rng)
     return x, y, heading
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def walk(walkers, speeds, duration, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
+def walk(walkers, speeds, duration, turns_per_au, quantiles, bounds, rng):  # type: ignore[no-untyped-def]
     """Walk particles on, in place. walkers: (3, M) x, y, heading; speeds: (M,); duration: au."""
     for j in range(walkers.shape[1]):
         walkers[0, j], walkers[1, j], walkers[2, j] = _step(
@@ -91,6 +92,7 @@ def walk(walkers, speeds, duration, turns_per_au, quantiles, rng):  # type: igno
             speeds[j] * duration,
             turns_per_au,
             quantiles,
+            bounds,
             rng,
         )
 
@@ -114,7 +116,7 @@ def refuted(walkers, agent, old_trail, trail_radius, trail_doubt, rng):  # type:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, quantiles, rng):  # type: ignore[no-untyped-def]
+def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, quantiles, bounds, rng):  # type: ignore[no-untyped-def]
     """Replace particles by walks from the last sighting that no miss since refutes. -> how many.
 
     lost: (K,) their indices; origin: time, x, y, heading, chance that the heading is right;
@@ -132,7 +134,7 @@ def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, quantiles, rn
         for m in range(misses.shape[0]):
             distance = speeds[j] * (misses[m, 0] - time)
             time = misses[m, 0]
-            x, y, heading = _step(x, y, heading, distance, turns_per_au, quantiles, rng)
+            x, y, heading = _step(x, y, heading, distance, turns_per_au, quantiles, bounds, rng)
             if (x - misses[m, 1]) ** 2 + (y - misses[m, 2]) ** 2 < SENSOR_RADIUS_AU**2:
                 kept = False
                 break
@@ -213,6 +215,7 @@ class ParticleBelief:
         rng: np.random.Generator,
         *,
         num_imagined: int = 0,
+        arena: Arena = ARENA,
     ) -> None:
         """Begin at the priors.
 
@@ -220,6 +223,7 @@ class ParticleBelief:
         num_imagined: targets, kept last, that stand for those not known of yet
         """
         self._motion = motion
+        self._arena, self._bounds = arena, arena.bounds
         self._rng = rng
         self._num_imagined = num_imagined
         self._num_learned = 0
@@ -232,7 +236,7 @@ class ParticleBelief:
     def _begin(self, prior_au: FloatArray) -> TargetParticles:
         count = self._motion.num_particles
         headings_rad = 2.0 * math.pi * self._rng.random(count)
-        walkers = np.stack([*ARENA.sample(count, self._rng).T, headings_rad])
+        walkers = np.stack([*self._arena.sample(count, self._rng).T, headings_rad])
         target = TargetParticles(walkers=walkers)
         if not np.isnan(prior_au).any():
             walkers[:2] = prior_au[:, None]
@@ -249,7 +253,15 @@ class ParticleBelief:
             self._walk(target.walkers, self._speeds, duration)
 
     def _walk(self, walkers: FloatArray, speeds: FloatArray, duration_au: float) -> None:
-        walk(walkers, speeds, duration_au, self._motion.turns_per_au, TURN_QUANTILES_RAD, self._rng)
+        walk(
+            walkers,
+            speeds,
+            duration_au,
+            self._motion.turns_per_au,
+            TURN_QUANTILES_RAD,
+            self._bounds,
+            self._rng,
+        )
 
     def futures(
         self, num_particles: int, num_steps: int, interval_au: float
@@ -323,7 +335,7 @@ class ParticleBelief:
             best = np.argpartition(error, count // 12)[: count // 12]
             walkers[2] = walkers[2, self._rng.choice(best, count)]
             walkers[2] += self._rng.normal(0.0, 0.2, count)
-        walkers[:2] = ARENA.clip(np.array(now[1:]))[:, None]
+        walkers[:2] = self._arena.clip(np.array(now[1:]))[:, None]
         target.remember(now)
 
     def _refuted(self, target: TargetParticles, agent_au: FloatArray) -> IntArray:
@@ -368,6 +380,7 @@ class ParticleBelief:
                 np.array(misses, dtype=np.float64).reshape(-1, 3),
                 self._motion.turns_per_au,
                 TURN_QUANTILES_RAD,
+                self._bounds,
                 self._rng,
             )
         )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from dronemon.planner.moving import follow, nearest_node
+from dronemon.planner.moving import clipped, drawn, follow, nearest_node
 from dronemon.planner.scoring import score
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.types import FloatArray
@@ -72,7 +72,7 @@ def draw_goal(forecast, k, x, y, age, forget_steps, power, is_guided, scatter, g
     age: (N,) steps since each target was seen, less k
     """
     if rng.random() < 0.06:
-        goal[0], goal[1] = rng.random(), rng.random()
+        goal[0], goal[1] = drawn(forecast.bounds, rng)
         return -1
     num_targets = age.shape[0]
     weight = np.ones(num_targets)
@@ -94,8 +94,9 @@ def draw_goal(forecast, k, x, y, age, forget_steps, power, is_guided, scatter, g
     arrival = min(forecast.x.shape[0] - 1, k + int(distance / MEASUREMENT_INTERVAL_AU + 0.5))
     off = scatter * math.sqrt(rng.random())
     bearing = 2.0 * math.pi * rng.random()
-    goal[0] = min(max(forecast.x[arrival, p] + off * math.cos(bearing), 0.0), 1.0)
-    goal[1] = min(max(forecast.y[arrival, p] + off * math.sin(bearing), 0.0), 1.0)
+    x = forecast.x[arrival, p] + off * math.cos(bearing)
+    y = forecast.y[arrival, p] + off * math.sin(bearing)
+    goal[0], goal[1] = clipped(forecast.bounds, x, y)
     return target
 
 
@@ -112,8 +113,8 @@ def refine(goals, count, forecast, size, rng):  # type: ignore[no-untyped-def]
     kind = rng.random()
     if kind < 0.6:
         reach = size * 2.0 ** (2.0 - 4.0 * rng.random())
-        goals[g, 0] = min(max(goals[g, 0] + reach * rng.normal(), 0.0), 1.0)
-        goals[g, 1] = min(max(goals[g, 1] + reach * rng.normal(), 0.0), 1.0)
+        x, y = goals[g, 0] + reach * rng.normal(), goals[g, 1] + reach * rng.normal()
+        goals[g, 0], goals[g, 1] = clipped(forecast.bounds, x, y)
         return count
     if kind < 0.7:
         for c in range(g, count - 1):
@@ -126,8 +127,8 @@ def refine(goals, count, forecast, size, rng):  # type: ignore[no-untyped-def]
             k, p = int(rng.random() * forecast.x.shape[0]), int(rng.random() * forecast.x.shape[1])
             goals[g, 0], goals[g, 1] = forecast.x[k, p], forecast.y[k, p]
         else:
-            goals[g, 0] = min(max(goals[g, 0] + 2.0 * size * rng.normal(), 0.0), 1.0)
-            goals[g, 1] = min(max(goals[g, 1] + 2.0 * size * rng.normal(), 0.0), 1.0)
+            x, y = goals[g, 0] + 2.0 * size * rng.normal(), goals[g, 1] + 2.0 * size * rng.normal()
+            goals[g, 0], goals[g, 1] = clipped(forecast.bounds, x, y)
         return count + 1
     if kind < 0.93:
         other = int(rng.random() * count)

@@ -1,9 +1,10 @@
 """What every planner is given and gives: a snapshot of the mission in, the next waypoint out.
 
 A planner is asked whenever the agent reaches the waypoint it gave last, and first at the start. It
-works in unit-square lengths, where the agent flies one au in one unit of time, and it may name any
-point of the square: a far one (a lawnmower's next turn) or a near one (a search that plans anew
-every 0.1 au). The agent cannot stop: a waypoint nearer than 1e-6 au is an error of the planner.
+works in au, where the agent flies one au in one unit of time, and it may name any place of the
+arena: a far one (a lawnmower's next turn) or a near one (a search that plans anew every 0.1 au).
+The agent cannot stop: a waypoint nearer than 1e-6 au is an error of the planner, and so is one
+outside the arena.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from dronemon.planner.moving import cell
 from dronemon.problem import (
     LENGTH_SCALE_AU,
     MEASUREMENT_INTERVAL_AU,
@@ -57,9 +58,13 @@ def _matern(distance: FloatArray) -> FloatArray:
 class Tables(NamedTuple):
     """Look-up tables of the score; all follow from the kernel, the settings and the speed.
 
-    age_at: (B,) equivalent age of a probe measured at a squared distance (B bins to 0.25 au);
-    seen_age: of the probes of a target just seen; worth: (NUM_AGES,); known: (OLDEST + 1,) gain of
-    a sighting by the age of the last; shape_worth: of squared error of the mean; discount: (H,)
+    age_at:      (B,) int32 equivalent age of a probe by squared distance, in B bins to 0.25 au
+    seen_age:    that of the probes of a target just seen
+    worth:       (NUM_AGES,) float32 certainty still to come, by age
+    known:       (OLDEST + 1,) float32 gain of a sighting by the age of the last
+    shape_worth: worth of squared error of the mean
+    discount:    (H,) float32
+    probe_au:    distance of the probes from a particle
     """
 
     age_at: Int32Array
@@ -74,9 +79,13 @@ class Tables(NamedTuple):
 class Forecast(NamedTuple):
     """What a path is scored in. P particles, those of a target beside each other.
 
-    x, y: (H, P) at each of the next measurements; weight: (P,); probe_age: (P, 4) and
-    sight_age: (P,) now; first: (N + 1,) each target's first particle; mean: (N, C, C) posterior
-    mean now of each target's presence, in the cells of the square
+    x, y:      (H, P)    float32 au at each of the next measurements
+    weight:    (P,)      float32
+    probe_age: (P, 4)    int32 now
+    sight_age: (P,)      int32 now
+    first:     (N + 1,)  int64 each target's first particle
+    mean:      (N, C, C) float32 the beliefs' means now, in the cells of the arena
+    bounds:    (2, 2)    float64 au the arena's
     """
 
     x: Float32Array
@@ -86,6 +95,7 @@ class Forecast(NamedTuple):
     sight_age: Int32Array
     first: IntArray
     mean: Float32Array
+    bounds: FloatArray
 
 
 def make_tables(
@@ -185,7 +195,7 @@ def score(path, forecast, tables, probe, sight, squared):  # type: ignore[no-unt
             dx, dy = forecast.x[k, p] - ax, forecast.y[k, p] - ay
             squared[p] = dx * dx + dy * dy
         gained = np.float32(0.0)
-        cx, cy = min(int(ax * size), size - 1), min(int(ay * size), size - 1)
+        cx, cy = cell(forecast.bounds, ax, ay, size)
         for i in range(forecast.mean.shape[0]):
             mean = max(forecast.mean[i, cx, cy], np.float32(0.0))  # as the metric JSD counts it
             cleared = shape_worth * mean * mean

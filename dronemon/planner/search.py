@@ -14,7 +14,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.errors import PlannerError
 from dronemon.planner import moving, paths, scoring
@@ -130,7 +129,9 @@ class SearchPlanner:
             self.settings.motion,
             self._rng,
             num_imagined=int(briefing.num_targets == 0),
+            arena=briefing.arena,
         )
+        self._arena = briefing.arena
         self._ground = self._make_ground(roadmap)
         self._goals = np.zeros((paths.MAX_GOALS, 2))
         self._num_goals = 0
@@ -141,6 +142,7 @@ class SearchPlanner:
             nodes=np.empty((0, 2)),
             next_hop=np.empty((0, 0), dtype=np.int64),
             nearest=np.empty((0, 0), dtype=np.int64),
+            bounds=self._arena.bounds,
         )
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
@@ -239,8 +241,18 @@ class SearchPlanner:
             probe_age=probe_age,
             sight_age=np.repeat(np.rint(since.clip(0, scoring.OLDEST)), num_each).astype(np.int32),
             first=first,
-            mean=_mean_fields(snapshot, num_targets),
+            mean=self._means(snapshot, num_targets),
+            bounds=self._arena.bounds,
         )
+
+    def _means(self, snapshot: Snapshot, num_targets: int) -> NDArray[np.float32]:
+        """The belief's means now, as `Forecast.mean` has it; 0 for an imagined target."""
+        cells_au = self._arena.cells(scoring.MEAN_CELLS)
+        query_au = np.column_stack([cells_au, np.full(len(cells_au), snapshot.time_au)])
+        mean = np.zeros((num_targets, scoring.MEAN_CELLS, scoring.MEAN_CELLS), dtype=np.float32)
+        known = snapshot.belief.num_targets
+        mean[:known] = snapshot.belief.mean(query_au).reshape(known, *mean.shape[1:])
+        return mean
 
 
 class RoadmapSearchPlanner(SearchPlanner):
@@ -249,16 +261,15 @@ class RoadmapSearchPlanner(SearchPlanner):
     name = "search-roadmap"
 
     def _make_ground(self, roadmap: Roadmap) -> moving.Ground:
-        """Shortest paths, and the node nearest to each cell of the square."""
-        centres = (np.arange(moving.NEAREST_CELLS) + 0.5) / moving.NEAREST_CELLS
-        offset: FloatArray = np.stack(np.meshgrid(centres, centres, indexing="ij"), axis=-1)[
-            :, :, None
-        ]
-        distance = np.linalg.norm(offset - roadmap.nodes_au, axis=-1)
+        """Shortest paths, and the node nearest to each cell of the arena."""
+        size = moving.NEAREST_CELLS
+        offset_au = self._arena.cells(size)[:, None] - roadmap.nodes_au
+        nearest = np.linalg.norm(offset_au, axis=-1).argmin(axis=-1)
         return moving.Ground(
             nodes=np.ascontiguousarray(roadmap.nodes_au),
             next_hop=roadmap.next_hop,
-            nearest=distance.argmin(axis=-1),
+            nearest=nearest.reshape(size, size),
+            bounds=self._arena.bounds,
         )
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
@@ -305,16 +316,6 @@ class ClairvoyantSearchPlanner(SearchPlanner):
         times_au: FloatArray = time_au + MEASUREMENT_INTERVAL_AU * steps
         places: FloatArray = self._targets_at(times_au)[:, :, None]
         return places[0], places[1:], speed
-
-
-def _mean_fields(snapshot: Snapshot, num_targets: int) -> NDArray[np.float32]:
-    """The belief's mean now, as `Forecast.mean` has it; 0 for imagined targets. -> (N, C, C)."""
-    cells_au = ARENA.cells(scoring.MEAN_CELLS)
-    query_au = np.column_stack([cells_au, np.full(len(cells_au), snapshot.time_au)])
-    mean = np.zeros((num_targets, scoring.MEAN_CELLS, scoring.MEAN_CELLS), dtype=np.float32)
-    known = snapshot.belief.num_targets
-    mean[:known] = snapshot.belief.mean(query_au).reshape(known, *mean.shape[1:])
-    return mean
 
 
 def _is_found(gain: float) -> bool:

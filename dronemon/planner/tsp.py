@@ -66,8 +66,11 @@ class TspLoop:
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the loop."""
         self._whereabouts.reset(briefing)
-        self._sweep = Sweep(track_au=sweep_track())
-        self._sweep_until_au = 0.0 if briefing.num_targets else sweep_length_au()
+        self._arena = briefing.arena
+        self._sweep = Sweep(track_au=sweep_track(briefing.arena))
+        self._sweep_until_au = (
+            0.0 if briefing.num_targets else sweep_length_au(self._sweep.track_au)
+        )
         self._loop = np.empty(0, dtype=np.int64)
         self._goal = 0
         self._num_read = 0
@@ -75,7 +78,7 @@ class TspLoop:
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """Step towards the goal, as far as the next measurement, which may move it."""
         self._whereabouts.take(snapshot)
-        places_au = self._whereabouts.at(snapshot.time_au)  # (N, 2)
+        places_au = self._places(snapshot.time_au)
         here_au, step_au = snapshot.position_au, until_measurement_au(snapshot.flown_au)
         if (
             not len(places_au)
@@ -95,11 +98,15 @@ class TspLoop:
             self._plan(places_au, here_au)
             self._goal = _successor(self._loop, self._goal)
         else:  # all of them are here
-            meeting_au = orbit(here_au, meeting_au)
+            meeting_au = orbit(here_au, meeting_au, self._arena)
         return Waypoint(
             position_au=step_towards(here_au, meeting_au, step_au),
             details={"goal": self._goal, "loop": self._loop.tolist()},
         )
+
+    def _places(self, time_au: float) -> FloatArray:
+        """Where targets are met: one seen beyond the border, at it. -> (N, 2) au."""
+        return self._arena.clip(self._whereabouts.at(time_au))
 
     def _plan(self, places_au: FloatArray, here_au: FloatArray) -> None:
         """Find the shortest loop; a first one begins with the nearest target."""
@@ -116,7 +123,7 @@ class TspLoop:
         """Where the goal is met if we fly straight there. -> (2,)."""
         arrival_au = snapshot.time_au
         for _ in range(INTERCEPT_ROUNDS):
-            meeting_au: FloatArray = self._whereabouts.at(arrival_au)[self._goal]
+            meeting_au: FloatArray = self._places(arrival_au)[self._goal]
             distance_au = float(np.linalg.norm(meeting_au - snapshot.position_au))
             arrival_au = snapshot.time_au + distance_au
         return meeting_au
@@ -167,9 +174,9 @@ class CarriedOn:
                 self._velocities[target] = (now[1:] - then[1:]) / elapsed_au
 
     def at(self, time_au: float) -> FloatArray:
-        """Carry every target on in a straight line, as far as the border."""
+        """Carry every target on in a straight line."""
         moved_au = self._velocities * (time_au - self._times_au)[:, None]
-        places_au: FloatArray = np.clip(self._places_au + moved_au, 0.0, 1.0)
+        places_au: FloatArray = self._places_au + moved_au
         return places_au
 
 
@@ -177,12 +184,11 @@ class Predicted:
     """Where the belief's mean will peak a little later; the last-seen place where it has none."""
 
     def __init__(self, prediction_au: float = 1.0) -> None:
-        axis = np.linspace(0.0, 1.0, PEAK_GRID)
-        self._grid_au = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
         self._prediction_au = prediction_au
 
     def reset(self, briefing: Briefing) -> None:
-        """Nothing to forget: log and belief remember."""
+        """Lay the grid over the arena."""
+        self._grid_au = briefing.arena.grid(PEAK_GRID)
 
     def take(self, snapshot: Snapshot) -> None:
         """Find each belief's peak among the points of a grid."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from dronemon.arena import ARENA
 from dronemon.problem import SENSOR_RADIUS_AU
 
 NUM_TRACK_FEATURES = 11
@@ -111,7 +112,7 @@ class Tracks:
     def features(self, time_au: Tensor) -> Tensor:
         """What the network is shown. time_au: (B,) -> (B, N, T) float32.
 
-        Offset from the square's centre of the place where it was seen last and of the one where it
+        Offset from the arena's centre of the place where it was seen last and of the one where it
         is thought to be, ten times the velocity; whether the velocity is that of one contact, time
         since the sighting (as a logarithm), how lately it was not where it was thought to be (1:
         now, 0: never), ten times the speed of all targets, whether it was ever placed.
@@ -131,7 +132,9 @@ class Tracks:
             ],
             dim=-1,
         )
-        vectors = [self._place_au - 0.5, self._expected(now_au) - 0.5, 10.0 * self._velocity]
+        centre_au = now_au.new_tensor(ARENA.bounds).mean(dim=0)
+        expected_au = self._expected(now_au)
+        vectors = [self._place_au - centre_au, expected_au - centre_au, 10.0 * self._velocity]
         shown = torch.cat([*vectors, numbers], dim=-1)
         return torch.where(self._is_placed[..., None], shown, 0.0).float()
 
@@ -142,12 +145,17 @@ class Tracks:
         """
         way = self._velocity * (now_au - self._seen_at_au)[..., None]
         length = way.norm(dim=-1, keepdim=True).clamp(min=1e-9)
-        expected: Tensor = self._place_au + way * (_CARRIED_AU / length).clamp(max=1.0)
-        return expected.clamp(0.0, 1.0)
+        expected = self._place_au + way * (_CARRIED_AU / length).clamp(max=1.0)
+        low_au, high_au = expected.new_tensor(ARENA.bounds)
+        clipped: Tensor = expected.clamp(low_au, high_au)
+        return clipped
 
 
 def mirrored_tracks(tracks: Tensor, symmetries: Tensor) -> Tensor:
-    """Tracks in a turned or mirrored square; see `Graphs.mirrored`. (B, ..., T) -> the same."""
+    """Tracks in a turned or mirrored square; see `Graphs.mirrored`. (B, ..., T) -> the same.
+
+    The one thing here that another arena than a square would end: it has not these symmetries.
+    """
     bits = ((symmetries[:, None] >> torch.arange(3, device=symmetries.device)) & 1).bool()
     size = 2 * NUM_TRACK_VECTORS
     ones = [1] * (tracks.dim() - 2)

@@ -1,4 +1,4 @@
-"""Where the agent may go next: a random roadmap over the unit square, and its encoding."""
+"""Where the agent may go next: a random roadmap over the arena, and its encoding."""
 
 from dronemon.roadmap.encoding import laplacian_encoding
 from dronemon.roadmap.graph import Roadmap

@@ -1,4 +1,4 @@
-"""The random roadmap: nodes over the unit square, each joined to its nearest neighbours.
+"""The random roadmap: nodes over the arena, each joined to its nearest neighbours.
 
 Source: paper, section IV-A.1.
 """
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from dronemon.arena import ARENA
 from dronemon.types import BoolArray, FloatArray, IntArray
 
 
@@ -38,7 +39,7 @@ class Roadmap:
 
         num_neighbours counts the node itself; start_au: (2,) au.
         """
-        drawn_au = rng.uniform(size=(num_nodes, 2))
+        drawn_au = ARENA.sample(num_nodes, rng)
         nodes_au = np.concatenate([np.asarray(start_au, dtype=np.float64)[None], drawn_au])
         distance_au = _pairwise(nodes_au)
         np.fill_diagonal(distance_au, -1.0)  # the node itself comes first, whatever else lies there

@@ -15,12 +15,14 @@ from functools import partial
 
 import numpy as np
 
+from dronemon.arena import ARENA
 from dronemon.errors import PlannerError
 from dronemon.events import Believed, Decided, EventStream, Measured, Moved, Pictured, Progressed
 from dronemon.frames import AreaFrame
 from dronemon.guard import Action
 from dronemon.guidance import Carrot
 from dronemon.planner import Snapshot
+from dronemon.planner.motion import waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
@@ -261,12 +263,9 @@ class Patrol:
                 f"planner '{planner.name}' failed: {exc!r}; the drone returns"
             ) from exc
         decision_ms = (time.perf_counter() - began) * 1e3
-        if not np.isfinite(waypoint.position_au).all():
-            raise PlannerError(
-                f"planner '{planner.name}' gave waypoint {waypoint.position_au}, "
-                "which is no place; the drone returns"
-            )
-        waypoint_au = np.clip(waypoint.position_au, 0.0, 1.0)
+        if flaw := waypoint_flaw(waypoint.position_au, snapshot.position_au, ARENA):
+            raise PlannerError(f"planner '{planner.name}' gave {flaw}; the drone returns")
+        waypoint_au = ARENA.clip(waypoint.position_au)
         self._events.emit(
             Decided(
                 time_s=now_s,

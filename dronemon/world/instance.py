@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dronemon.arena import ARENA
 from dronemon.types import FloatArray
 from dronemon.world.targets import TargetPaths
 
@@ -31,7 +32,7 @@ class Instance:
         """Draw a seed's instance; its first targets do not depend on how many there are."""
         return cls(
             seed=seed,
-            start_au=named_stream(seed, "start").random(2),
+            start_au=ARENA.sample(1, named_stream(seed, "start"))[0],
             paths=TargetPaths.random(num_targets, named_stream(seed, "targets")),
         )
 

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dronemon.arena import ARENA
 from dronemon.types import FloatArray, IntArray
 
 POINTS_PER_PATH = 50
@@ -30,9 +31,9 @@ class TargetPaths:
         """Draw one path per target; the first targets of a larger draw are those of a smaller one.
 
         The two ends of a path are uniform random points, as in the authors' release, so targets
-        start uniformly in the square; only the order of the points between them is shortened.
+        start uniformly in the arena; only the order of the points between them is shortened.
         """
-        drawn = [rng.random((POINTS_PER_PATH, 2)) for _ in range(num_targets)]
+        drawn = [ARENA.sample(POINTS_PER_PATH, rng) for _ in range(num_targets)]
         return cls(points_au=np.stack([points[short_path_order(points)] for points in drawn]))
 
     @property

@@ -9,7 +9,7 @@ from scipy.spatial.distance import jensenshannon
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 
-from dronemon.belief import EpisodeMetrics, episode_metrics, fit
+from dronemon.belief import Belief, EpisodeMetrics, episode_metrics, fit
 from dronemon.belief.metrics import (
     area_std,
     evaluation_grid,
@@ -18,6 +18,7 @@ from dronemon.belief.metrics import (
     since_seen_au,
     target_area,
 )
+from dronemon.sightings import Sightings
 
 GRID = np.stack(
     np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 40), indexing="ij"), axis=-1
@@ -165,3 +166,19 @@ def test_episode_metrics_follow_the_targets_order():
     np.testing.assert_allclose(turned.jsd, straight.jsd[:, order], rtol=0, atol=1e-8)
     alone = episode_metrics(time, agent, targets[:, :1], observed[:, :1])
     np.testing.assert_allclose(alone.unc, straight.unc[:, :1], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("target_au", [(1.3, 0.5), (-0.1001, 0.0131), (1.08, 1.08), (5.0, -5.0)])
+def test_a_target_wholly_outside_is_judged_at_the_nearest_place_of_the_arena(target_au):
+    outside = torch.tensor([target_au], dtype=torch.float64)
+    belief = Belief(Sightings(np.array([[0.9, 0.5]]))).process
+    at = torch.zeros(1, 1, dtype=torch.float64)
+    got, nearest = (area_std(belief, t[None], at) for t in (outside, outside.clamp(0.0, 1.0)))
+    assert torch.isfinite(got).all()
+    torch.testing.assert_close(got, nearest, rtol=0.0, atol=0.0)
+
+
+def test_a_target_a_little_outside_is_judged_around_itself():
+    points, is_inside = target_area(torch.tensor([1.05, 0.5], dtype=torch.float64))
+    assert (points[is_inside] - torch.tensor([1.05, 0.5])).norm(dim=-1).max() < 0.1
+    assert points[is_inside][:, 0].max() <= 1.0

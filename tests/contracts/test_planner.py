@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from dronemon.arena import ARENA
 from dronemon.errors import OptionError
 from dronemon.evaluation import Conditions, fly_episode
 from dronemon.planner import (
@@ -23,10 +25,11 @@ from dronemon.planner import (
     has_weights,
     planner_names,
 )
+from dronemon.planner.motion import waypoint_flaw
 from dronemon.policy import Card, NetworkConfig, PolicyNetwork, save_checkpoint
 from dronemon.problem import Prior
 from dronemon.roadmap import Roadmap
-from dronemon.world import Instance
+from dronemon.world import Instance, TargetPaths
 
 Make = Callable[[], Planner]
 CARD = Card(recipe="none", command="", commit="", date="", seeds="")
@@ -119,6 +122,34 @@ def test_planner_repeats_itself_and_remembers_no_earlier_mission(make: Make) -> 
     fresh = fly_episode(make(), instance, conditions())
     np.testing.assert_array_equal(first.agent_au, again.agent_au)
     np.testing.assert_array_equal(first.agent_au, fresh.agent_au)
+
+
+def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
+    outside = np.array([[[1.04, 0.5], [1.04, 0.6]], [[0.5, -0.05], [0.4, -0.05]]])
+    instance = Instance(
+        seed=10_003, start_au=np.array([0.95, 0.5]), paths=TargetPaths(points_au=outside)
+    )
+    planner = Recording(make())
+    episode = fly_episode(planner, instance, replace(conditions(), horizon_au=2.0))
+    for asked, given in zip(planner.asked, planner.given, strict=True):
+        assert waypoint_flaw(given.position_au, asked.position_au, ARENA) is None
+    steps_au = np.linalg.norm(np.diff(episode.agent_au, axis=0), axis=1)
+    assert steps_au.max() <= 0.1 + 1e-9
+    assert len(np.unique(episode.agent_au.round(3), axis=0)) > 10
+
+
+@pytest.mark.parametrize(
+    ("waypoint_au", "flaw"),
+    [
+        ((0.5, np.nan), "no place"),
+        ((1.01, 0.5), "not in the arena"),
+        ((0.5, 0.5 + 1e-7), "where the agent is"),
+        ((0.5, 0.6), None),
+    ],
+)
+def test_a_waypoint_is_judged(waypoint_au: tuple[float, float], flaw: str | None) -> None:
+    judged = waypoint_flaw(np.array(waypoint_au), np.array([0.5, 0.5]), ARENA)
+    assert judged is None if flaw is None else flaw in str(judged)
 
 
 def test_unknown_planner_names_the_nearest() -> None:

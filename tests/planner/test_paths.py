@@ -1,5 +1,6 @@
 import numpy as np
 
+from dronemon.arena import ARENA
 from dronemon.planner import paths, scoring
 
 
@@ -13,6 +14,7 @@ def test_refinement_changes_one_goal_and_keeps_the_others_in_order():
         sight_age=np.zeros(3, dtype=np.int32),
         first=np.array([0, 3]),
         mean=np.zeros((1, 2, 2), dtype=np.float32),
+        bounds=ARENA.bounds,
     )
     before = np.zeros((paths.MAX_GOALS, 2))
     before[:5] = (np.arange(5)[:, None] + [1.0, 1.5]) / 10.0

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from dronemon.arena import ARENA
 from dronemon.planner import scoring
 from dronemon.planner.search import SearchSettings
 
@@ -30,6 +31,7 @@ def test_a_miss_gains_on_a_false_trail_and_costs_at_the_target(place, gains):
             sight_age=np.zeros(1, dtype=np.int32),
             first=np.array([0, 1]),
             mean=np.full((1, scoring.MEAN_CELLS, scoring.MEAN_CELLS), 0.5, dtype=np.float32),
+            bounds=ARENA.bounds,
         )
         scratch = (
             forecast.probe_age.copy(),
