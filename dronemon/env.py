@@ -25,7 +25,7 @@ from dronemon.problem import (
     Prior,
 )
 from dronemon.roadmap import Roadmap, laplacian_encoding
-from dronemon.world import Instance
+from dronemon.world import Instance, num_due, share_at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,22 +227,20 @@ class Env:
         self._believe()
 
     def _fly(self, goal_au: Tensor) -> None:
-        """Move in a straight line, no further than the horizon, and measure. goal_au: (B, 2)."""
+        """Fly one leg, no further than the horizon, and measure on it. goal_au: (B, 2)."""
         offset_au = goal_au - self._position_au
         leg_au = torch.linalg.vector_norm(offset_au, dim=-1)
-        end_au = (self._length_au + leg_au).clamp_max(self._horizon_au)
-        # A measurement due within rounding of the leg's end belongs to the leg.
-        total = torch.floor(end_au / MEASUREMENT_INTERVAL_AU + 1e-9).long()
-        for number in range(1, int((total - self._num_measured).max()) + 1):
-            index = self._num_measured + number
-            time_au = index.double() * MEASUREMENT_INTERVAL_AU
-            share = ((time_au - self._length_au) / leg_au).clamp(0.0, 1.0)
-            self._measure(time_au, self._position_au + share[:, None] * offset_au, index <= total)
-        share = (end_au - self._length_au) / leg_au
-        arrived_au = self._position_au + share[:, None] * offset_au
-        self._position_au = torch.where((share < 1.0)[:, None], arrived_au, goal_au)
-        self._length_au = end_au
-        self._num_measured = total
+        flown_au = torch.minimum(leg_au, self._horizon_au - self._length_au)
+        residual_au = self._length_au - MEASUREMENT_INTERVAL_AU * self._num_measured
+        count = num_due(residual_au, flown_au).long()
+        for number in range(1, int(count.max()) + 1):
+            share = share_at(torch.full_like(leg_au, number), residual_au, leg_au)[:, None]
+            time_au = (self._num_measured + number).double() * MEASUREMENT_INTERVAL_AU
+            self._measure(time_au, self._position_au + share * offset_au, number <= count)
+        share = (flown_au / leg_au)[:, None]
+        self._position_au = torch.where(share < 1.0, self._position_au + share * offset_au, goal_au)
+        self._length_au = self._length_au + flown_au
+        self._num_measured = self._num_measured + count
 
     def _measure(self, time_au: Tensor, agent_au: Tensor, active: Tensor) -> None:
         """Read the sensor in some episodes. time_au: (B,); agent_au: (B, 2); active: (B,) bool."""

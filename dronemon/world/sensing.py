@@ -1,26 +1,52 @@
 """The binary sensor: a circular field of view, read at even distances along the agent's path.
 
-Source: paper, section III-B and equation 1; PAPER-NOTES' measurement row ("residual carried over
-waypoints").
+Source: paper, section III-B and equation 1. That the residual is carried over waypoints is the
+authors' release.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.types import BoolArray, FloatArray, Measurement
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+Lengths = TypeVar("Lengths", FloatArray, "Tensor")
+"""Lengths of one leg or of many, in numpy or torch."""
+
+
+def num_due(residual_au: Lengths, length_au: Lengths) -> Lengths:
+    """How many measurements fall on legs that begin `residual_au` after the last one.
+
+    One falls every 0.1 au flown, also across waypoints. A measurement due within 1e-9 intervals of
+    the leg's end belongs to the leg, so that legs of exactly 0.1 au have one each.
+
+    residual_au, length_au: (...) au
+    -> (...) whole numbers
+    """
+    return ((residual_au + length_au) / MEASUREMENT_INTERVAL_AU + 1e-9) // 1.0
+
+
+def share_at(number: Lengths, residual_au: Lengths, length_au: Lengths) -> Lengths:
+    """Share of a leg flown at its first, second, ... measurement. All (...) -> (...) in [0, 1]."""
+    return ((MEASUREMENT_INTERVAL_AU * number - residual_au) / length_au).clip(0.0, 1.0)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """Where measurements fall on one straight leg.
+    """Where measurements fall on one straight leg, flown at unit speed.
 
-    offsets_au: (M,) distance of each from the leg's start; positions_au: (M, 2); residual_au: flown
-    since the last measurement at the leg's end
+    offsets_au:   (M,)   au distance of each from the leg's start, which is the time to it
+    positions_au: (M, 2) au
+    residual_au:  au flown since the last measurement at the leg's end
     """
 
     offsets_au: FloatArray
@@ -29,23 +55,15 @@ class Leg:
 
 
 def sample_leg(start_au: FloatArray, end_au: FloatArray, residual_au: float) -> Leg:
-    """Find where measurements fall on a leg that begins `residual_au` after the last one.
-
-    One falls every 0.1 au flown, also across waypoints.
-    A measurement due within 1e-9 intervals of the leg's end belongs to the leg, so that legs of
-    exactly 0.1 au have one each.
-
-    start_au, end_au: (2,) au
-    """
-    length = math.hypot(end_au[0] - start_au[0], end_au[1] - start_au[1])
-    flown = residual_au + length
-    count = math.floor(flown / MEASUREMENT_INTERVAL_AU + 1e-9)
-    offsets = np.clip(MEASUREMENT_INTERVAL_AU * np.arange(1, count + 1) - residual_au, 0.0, length)
-    share = offsets / length if length > 0.0 else offsets
+    """Find where measurements fall on a leg: see `num_due`. start_au, end_au: (2,) au."""
+    length = np.array([math.hypot(end_au[0] - start_au[0], end_au[1] - start_au[1])])
+    residual = np.array([residual_au])
+    count = int(num_due(residual, length)[0])
+    share = share_at(np.arange(1.0, count + 1.0), residual, length)
     return Leg(
-        offsets_au=offsets,
+        offsets_au=share * length,
         positions_au=start_au + share[:, None] * (end_au - start_au),
-        residual_au=max(0.0, flown - count * MEASUREMENT_INTERVAL_AU),
+        residual_au=max(0.0, residual_au + float(length[0]) - count * MEASUREMENT_INTERVAL_AU),
     )
 
 
