@@ -6,10 +6,7 @@ for the queries and for all points that only some targets have ("others", each l
     U' U = K(common, common)      A = U'^-1 K(common, others)
     D' D = K(own, own) - a' a     for each target, of those others that are its own, a out of A
 
-All elimination goes by blocks of four rows, along contiguous columns, whose number is a multiple
-of a vector's length. The compiler turns these loops into vectors, provided that they begin at 0,
-that their end is not a constant, and that single numbers are not taken out of slices. Diagonals
-hold reciprocals.
+All elimination goes by blocks of four rows; see `blocks`.
 
 Source: Rasmussen & Williams (2006), algorithm 2.1.
 """
@@ -18,32 +15,32 @@ Source: Rasmussen & Williams (2006), algorithm 2.1.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numba import njit
-from numpy.polynomial import Chebyshev, Polynomial
 from torch import Tensor
 
+from dronemon.belief.blocks import (
+    BLOCK,
+    VECTOR,
+    aligned,
+    cholesky,
+    dot,
+    eliminate,
+    subtract,
+    subtract_squares,
+    up,
+)
+from dronemon.belief.covariance import fill_row
 from dronemon.types import BoolArray, FloatArray, IntArray
 
 _compiled = partial(njit, cache=True, error_model="numpy", nogil=True)
 
-_BLOCK, _VECTOR = 4, 8
 _TILE = 512
 """Query points worked on together: with the covariances of all points they stay in cache."""
-
-_LOG2_E = 1.0 / math.log(2.0)
-_DEGREE = 10
-_SERIES = Chebyshev.interpolate(np.exp2, _DEGREE, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
-_POWER_OF_TWO = (1.0, *_SERIES[1:].tolist())
-"""Of 2^f, |f| <= 1/2, right to the last digits; exactly 1 at 0."""
-_BIAS = 1023
-_ROUNDING = 1.5 * 2.0**52 + _BIAS
-"""Added to a number, leaves its nearest integer, plus the bias of exponents, in the last bits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,40 +115,6 @@ def fit(
     return group, num_failed
 
 
-@_compiled(fastmath={"contract"})
-def _covariance(dx, dy, dt):
-    """(1 + r) exp(-r), of scaled differences, in arithmetic that the compiler turns into vectors.
-
-    exp(-r) = 2^z = 2^i 2^f; a library's function would be called for one number at a time.
-    """
-    r = np.sqrt(dx * dx + dy * dy + dt * dt)
-    z = max(-_LOG2_E * r, -float(_BIAS))  # where the power's bits are those of 0
-    rounded = z + _ROUNDING
-    f = z - (rounded - _ROUNDING)
-    c, f2 = _POWER_OF_TWO, f * f
-    low = c[0] + c[1] * f + f2 * (c[2] + c[3] * f)
-    middle = c[4] + c[5] * f + f2 * (c[6] + c[7] * f)
-    high = c[8] + c[9] * f + f2 * c[10]
-    f4 = f2 * f2
-    power = np.int64(np.float64(rounded).view(np.int64) << 52).view(np.float64)
-    return (1.0 + r) * power * (low + f4 * (middle + f4 * high))
-
-
-@_compiled()
-def fill(points, sets, index, out):
-    """Write covariances to out. points: (k, 3); sets: (B, 3, m); index: (k,); out: (k, m)."""
-    for row in range(points.shape[0]):
-        _fill_row(points[row], sets[index[row]], sets.shape[2], out[row])
-
-
-@_compiled()
-def _fill_row(point, columns, width, out):
-    """Covariance of a point with the first columns. columns: (3, m)."""
-    x, y, t = point[0], point[1], point[2]
-    for j in range(width):
-        out[j] = _covariance(columns[0, j] - x, columns[1, j] - y, columns[2, j] - t)
-
-
 @_compiled()
 def _arrange(points, values, mask, scale):
     """Put the common points first, and list all others once. The arguments are those of `fit`.
@@ -218,7 +181,7 @@ def _find_common(points, mask, num_own, is_common):
             if num_own[i] == 0:
                 is_common[k] &= mask[i, k] and _is_same(points, k, i, first)
         num_common += is_common[k]
-    return first, num_common // _BLOCK * _BLOCK
+    return first, num_common // BLOCK * BLOCK
 
 
 @_compiled()
@@ -241,16 +204,16 @@ def _factorise(table, counts, own, num_own, levels, jitter):
     most_common, most_rows, most_own = 0, 0, 0
     for b in range(size):
         most_common = max(most_common, counts[b, 0])
-        most_rows = max(most_rows, _up(counts[b, 1], _BLOCK))
+        most_rows = max(most_rows, up(counts[b, 1], BLOCK))
         for i in range(num_targets):
-            most_own = max(most_own, _up(num_own[b, i], _BLOCK))
-    width = _up(most_rows + num_targets, _VECTOR)
-    factor = _aligned(size * most_common, width).reshape((size, most_common, width))
+            most_own = max(most_own, up(num_own[b, i], BLOCK))
+    width = up(most_rows + num_targets, VECTOR)
+    factor = aligned(size * most_common, width).reshape((size, most_common, width))
     roots = np.empty((size, num_targets, most_own, most_own))
-    weights = np.zeros((size, most_rows, _up(num_targets, _BLOCK)))
-    columns = _aligned(3, width)
+    weights = np.zeros((size, most_rows, up(num_targets, BLOCK)))
+    columns = aligned(3, width)
     columns[:] = 0.0
-    part = _aligned(most_common + most_own, _up(most_own + 1, _VECTOR))
+    part = aligned(most_common + most_own, up(most_own + 1, VECTOR))
     num_failed = 0
     for b in range(size):
         num_common, num_rows = counts[b, 0], counts[b, 1]
@@ -261,12 +224,12 @@ def _factorise(table, counts, own, num_own, levels, jitter):
             if num_own[b, i] < 0:
                 continue
             rows = own[b, i, : num_own[b, i]]
-            last = _up(num_rows, _BLOCK) + i
+            last = up(num_rows, BLOCK) + i
             is_good = _factorise_own(
                 table[b], num_common, rows, last, levels[b, i], jitter, columns, factor[b], part
             )
             num_failed += not (is_sound and is_good)
-            r = _up(len(rows), _BLOCK)
+            r = up(len(rows), BLOCK)
             for row in range(r):
                 for column in range(r):
                     roots[b, i, row, column] = part[num_common + row, column]
@@ -275,42 +238,28 @@ def _factorise(table, counts, own, num_own, levels, jitter):
 
 
 @_compiled()
-def _up(number, multiple):
-    return (number + multiple - 1) // multiple * multiple
-
-
-@_compiled()
-def _aligned(num_rows, width):
-    """Memory that begins where vectors of the processor should: a quarter faster."""
-    size = num_rows * width
-    memory = np.empty(size + _VECTOR)
-    skip = (_VECTOR - memory.ctypes.data // memory.itemsize % _VECTOR) % _VECTOR
-    return memory[skip : skip + size].reshape((num_rows, width))
-
-
-@_compiled()
 def _factorise_common(table, num_common, levels, jitter, columns, factor):
     """Write U, A and the whitened values of the common points, side by side, to factor."""
     num_rows, num_targets = len(table), len(levels)
-    first = _up(num_rows, _BLOCK)
-    width = _up(first + num_targets, _VECTOR)
+    first = up(num_rows, BLOCK)
+    width = up(first + num_targets, VECTOR)
     for row in range(num_rows):
         for axis in range(3):
             columns[axis, row] = table[row, axis]
     for row in range(num_common):
-        _fill_row(table[row], columns, width, factor[row])
+        fill_row(table[row], columns, width, factor[row])
         factor[row, row] += jitter
         factor[row, num_rows:width] = 0.0
         for i in range(num_targets):
             factor[row, first + i] = levels[i, row]
-    return _cholesky(factor, np.int64(0), num_common, width)
+    return cholesky(factor, np.int64(0), num_common, width)
 
 
 @_compiled()
 def _factorise_own(table, num_common, rows, last, levels, jitter, columns, factor, part):
     """Write a, below it D, and beside them the whitened values of a target, to part."""
-    r = _up(len(rows), _BLOCK)
-    width = _up(r + 1, _VECTOR)
+    r = up(len(rows), BLOCK)
+    width = up(r + 1, VECTOR)
     for column, row in enumerate(rows):
         for axis in range(3):
             columns[axis, column] = table[row, axis]
@@ -322,88 +271,14 @@ def _factorise_own(table, num_common, rows, last, levels, jitter, columns, facto
     for column in range(r):
         below = part[num_common + column]
         if column < len(rows):
-            _fill_row(table[rows[column]], columns, width, below)
+            fill_row(table[rows[column]], columns, width, below)
             below[column] += jitter
             below[len(rows) : width] = 0.0
             below[r] = levels[num_common + column]
         else:  # fills up the block
             below[:width] = 0.0
             below[column] = 1.0
-    return _cholesky(part, num_common, num_common + r, width)
-
-
-@_compiled()
-def _cholesky(x, first, last, width):
-    """Turn covariances into the upper factor, given what lies above: rows from first to last.
-
-    Column 0 belongs to row first. -> whether the factor exists.
-    """
-    is_good = True
-    block = np.empty((_BLOCK, _BLOCK))
-    for row in range(first, last, _BLOCK):
-        column = row - first
-        for k in range(0, row, _BLOCK):
-            _subtract(x, k, column, x, row, width)
-        for i in range(_BLOCK):
-            for j in range(i, _BLOCK):
-                entry = x[row + i, column + j]
-                for k in range(i):
-                    entry -= block[k, i] * block[k, j]
-                if i == j:
-                    is_good &= entry > 0.0
-                    block[i, i] = 1.0 / np.sqrt(entry)
-                else:
-                    block[i, j] = entry * block[i, i]
-        _divide(block, first - first, first - first, x, row, width)
-        for i in range(_BLOCK):
-            for j in range(_BLOCK):
-                x[row + i, column + j] = block[i, j] if j >= i else 0.0
-    return is_good
-
-
-@_compiled()
-def _eliminate(factor, num_pivots, x, num_rows, width):
-    """Solve for the first rows of x; take away from the others what these explain."""
-    for row in range(0, num_rows, _BLOCK):
-        for k in range(0, min(row, num_pivots), _BLOCK):
-            _subtract(factor, k, row, x, row, width)
-        if row < num_pivots:
-            _divide(factor, row, row, x, row, width)
-
-
-@_compiled(fastmath={"contract"})
-def _subtract(factor, k, column, x, row, width):
-    """Take the rows from k, times factor[k:, column:], away from those from row: four of each."""
-    f, i = factor, column
-    a0, a1, a2, a3 = f[k, i], f[k, i + 1], f[k, i + 2], f[k, i + 3]
-    b0, b1, b2, b3 = f[k + 1, i], f[k + 1, i + 1], f[k + 1, i + 2], f[k + 1, i + 3]
-    c0, c1, c2, c3 = f[k + 2, i], f[k + 2, i + 1], f[k + 2, i + 2], f[k + 2, i + 3]
-    d0, d1, d2, d3 = f[k + 3, i], f[k + 3, i + 1], f[k + 3, i + 2], f[k + 3, i + 3]
-    a, b, c, d = x[k], x[k + 1], x[k + 2], x[k + 3]
-    out0, out1, out2, out3 = x[row], x[row + 1], x[row + 2], x[row + 3]
-    for j in range(width):
-        p, q, r, s = a[j], b[j], c[j], d[j]
-        new0 = out0[j] - a0 * p - b0 * q - c0 * r - d0 * s
-        new1 = out1[j] - a1 * p - b1 * q - c1 * r - d1 * s
-        new2 = out2[j] - a2 * p - b2 * q - c2 * r - d2 * s
-        new3 = out3[j] - a3 * p - b3 * q - c3 * r - d3 * s
-        out0[j], out1[j], out2[j], out3[j] = new0, new1, new2, new3
-
-
-@_compiled(fastmath={"contract"})
-def _divide(factor, k, column, x, row, width):
-    """Solve four rows for the triangle factor[k:, column:]."""
-    f, i = factor, column
-    a0, a1, a2, a3 = f[k, i], f[k, i + 1], f[k, i + 2], f[k, i + 3]
-    b1, b2, b3 = f[k + 1, i + 1], f[k + 1, i + 2], f[k + 1, i + 3]
-    c2, c3, d3 = f[k + 2, i + 2], f[k + 2, i + 3], f[k + 3, i + 3]
-    out0, out1, out2, out3 = x[row], x[row + 1], x[row + 2], x[row + 3]
-    for j in range(width):
-        p = out0[j] * a0
-        q = (out1[j] - a1 * p) * b1
-        r = (out2[j] - a2 * p - b2 * q) * c2
-        s = (out3[j] - a3 * p - b3 * q - c3 * r) * d3
-        out0[j], out1[j], out2[j], out3[j] = p, q, r, s
+    return cholesky(part, num_common, num_common + r, width)
 
 
 @_compiled()
@@ -411,24 +286,16 @@ def _solve_weights(factor, num_common, part, rows, last, i, weights):
     """Write covariance^-1 values of target i, negative, by substituting backwards."""
     r = len(rows)
     common, own = np.empty(num_common), np.empty(r)
-    column = _up(r, _BLOCK)
+    column = up(r, BLOCK)
     for k in range(r - 1, -1, -1):
         row = part[num_common + k]
-        own[k] = (row[column] - _dot(row[k + 1 : r], own[k + 1 :])) * row[k]
+        own[k] = (row[column] - dot(row[k + 1 : r], own[k + 1 :])) * row[k]
         weights[rows[k], i] = -own[k]
     for k in range(num_common - 1, -1, -1):
         row = factor[k]
-        rest = row[last] - _dot(part[k, :r], own)
-        common[k] = (rest - _dot(row[k + 1 : num_common], common[k + 1 :])) * row[k]
+        rest = row[last] - dot(part[k, :r], own)
+        common[k] = (rest - dot(row[k + 1 : num_common], common[k + 1 :])) * row[k]
         weights[k, i] = -common[k]
-
-
-@_compiled(fastmath={"contract", "reassoc"})
-def _dot(a, b):
-    total = 0.0
-    for k in range(len(a)):
-        total += a[k] * b[k]
-    return total
 
 
 @_compiled()
@@ -442,32 +309,32 @@ def _predict(table, counts, own, num_own, factor, roots, weights, scale, query, 
     if num_targets == 0 or m == 0:
         return
     num_tiles = (m + _TILE - 1) // _TILE
-    step = _up((m + num_tiles - 1) // num_tiles, _VECTOR)
+    step = up((m + num_tiles - 1) // num_tiles, VECTOR)
     most_rows = weights.shape[1]
-    x = _aligned(most_rows + max(_BLOCK, roots.shape[2]), step)
-    columns, variance = _aligned(3, step), _aligned(2, step)
+    x = aligned(most_rows + max(BLOCK, roots.shape[2]), step)
+    columns, variance = aligned(3, step), aligned(2, step)
     columns[:] = 0.0
     for b in range(size):
-        num_rows = _up(counts[b, 1], _BLOCK)
+        num_rows = up(counts[b, 1], BLOCK)
         for which in range(num_sets):
             first, last = (0, num_targets) if num_sets == 1 else (which, which + 1)
             for begin in range(0, m, step):
                 end = min(begin + step, m)
-                width = _up(end - begin, _VECTOR)
+                width = up(end - begin, VECTOR)
                 for j in range(begin, end):
                     for axis in range(3):
                         columns[axis, j - begin] = query[b, which, j, axis] * scale[axis]
                 for row in range(counts[b, 1]):
-                    _fill_row(table[b, row], columns, width, x[row])
+                    fill_row(table[b, row], columns, width, x[row])
                 x[counts[b, 1] : num_rows, :width] = 0.0
                 if mean.shape[2] > 0:
                     out = mean[b, :, begin:end]
                     _write_means(weights[b, :num_rows], first, last, x, width, out)
                 if std.shape[2] == 0:
                     continue
-                _eliminate(factor[b], counts[b, 0], x, num_rows, width)
+                eliminate(factor[b], counts[b, 0], x, num_rows, width)
                 variance[0, :width] = 1.0
-                _subtract_squares(x, counts[b, 0], width, variance[0])
+                subtract_squares(x, counts[b, 0], width, variance[0])
                 for i in range(first, last):
                     rows = own[b, i, : max(num_own[b, i], 0)]
                     deviation = std[b, i, begin:end]
@@ -480,11 +347,11 @@ def _predict(table, counts, own, num_own, factor, roots, weights, scale, query, 
 def _write_means(weights, first, last, x, width, out):
     """Write the means of some targets to out. x: covariances, and below them room for four rows."""
     num_rows = len(weights)
-    for begin in range(first // _BLOCK * _BLOCK, last, _BLOCK):
-        x[num_rows : num_rows + _BLOCK, :width] = 0.0
-        for k in range(0, num_rows, _BLOCK):
-            _subtract(weights, k, begin, x, num_rows, width)
-        for i in range(max(first, begin), min(last, begin + _BLOCK)):
+    for begin in range(first // BLOCK * BLOCK, last, BLOCK):
+        x[num_rows : num_rows + BLOCK, :width] = 0.0
+        for k in range(0, num_rows, BLOCK):
+            subtract(weights, k, begin, x, num_rows, width)
+        for i in range(max(first, begin), min(last, begin + BLOCK)):
             for j in range(out.shape[1]):
                 out[i, j] = x[num_rows + i - begin, j]
 
@@ -496,25 +363,15 @@ def _write_deviation(root, rows, x, room, width, variance, out):
     x: covariances given the common points, and room for the target's own below; variance: (2,
     columns) given the common points, and scratch
     """
-    r = _up(len(rows), _BLOCK)
+    r = up(len(rows), BLOCK)
     own = x[room : room + r]
     for k, row in enumerate(rows):
         for j in range(width):
             own[k, j] = x[row, j]
     own[len(rows) :, :width] = 0.0
-    _eliminate(root, r, own, r, width)
+    eliminate(root, r, own, r, width)
     for j in range(width):
         variance[1, j] = variance[0, j]
-    _subtract_squares(own, r, width, variance[1])
+    subtract_squares(own, r, width, variance[1])
     for j in range(len(out)):
         out[j] = np.sqrt(max(variance[1, j], 0.0))
-
-
-@_compiled(fastmath={"contract"})
-def _subtract_squares(x, num_rows, width, out):
-    """Take the sum of some rows' squares away from out, four rows at a time."""
-    for k in range(0, num_rows, _BLOCK):
-        for j in range(width):
-            squares = x[k, j] * x[k, j] + x[k + 1, j] * x[k + 1, j]
-            squares += x[k + 2, j] * x[k + 2, j] + x[k + 3, j] * x[k + 3, j]
-            out[j] -= squares

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dronemon.belief.compiled import fill
+from dronemon.belief.covariance import fill
 from dronemon.problem import LENGTH_SCALE_AU, TIME_SCALE_AU, WINDOW_TIME_SCALES
 
 
