@@ -231,7 +231,7 @@ class Env:
         offset_au = goal_au - self._position_au
         leg_au = torch.linalg.vector_norm(offset_au, dim=-1)
         flown_au = torch.minimum(leg_au, self._horizon_au - self._length_au)
-        residual_au = self._length_au - MEASUREMENT_INTERVAL_AU * self._num_measured
+        residual_au = self._length_au - MEASUREMENT_INTERVAL_AU * self._num_measured.double()
         count = num_due(residual_au, flown_au).long()
         for number in range(1, int(count.max()) + 1):
             share = share_at(torch.full_like(leg_au, number), residual_au, leg_au)[:, None]
