@@ -112,15 +112,15 @@ def test_metrics_of_a_target_in_view_are_good_and_of_a_lost_one_bad() -> None:
 @pytest.mark.parametrize(
     ("point_au", "complaint"),
     [
-        ((1.2, 0.5), "not in the unit square"),
-        ((np.nan, 0.5), "not in"),
+        ((1.2, 0.5), "not in the arena"),
+        ((np.nan, 0.5), "no place"),
         ((0.1, 0.1), "cannot stop"),
     ],
 )
 def test_waypoints_that_cannot_be_flown_to_are_the_planners_error(
     point_au: tuple[float, float], complaint: str
 ) -> None:
-    with pytest.raises(PlannerError, match=f"planner route, seed 0, at 0.000 au.*{complaint}"):
+    with pytest.raises(PlannerError, match=f"planner route, seed 0, gave at 0.000 au.*{complaint}"):
         fly_episode(Route(point_au), walkers((0.5, 0.5)), Conditions(speed_ratio=0.1))
 
 
