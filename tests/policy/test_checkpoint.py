@@ -131,8 +131,8 @@ def test_no_file_of_ones_own_stands_in_for_the_shipped_weights(
     assert find_checkpoint("stamp") == Path("stamp")
 
 
-def test_the_readme_tells_how_the_shipped_weights_were_made() -> None:
+def test_the_training_page_tells_how_the_shipped_weights_were_made() -> None:
     root = Path(__file__).parents[2]
     command = load_checkpoint(find_checkpoint(None)).card.command
-    assert f"\n    {command}\n" in (root / "README.md").read_text()
+    assert f"\n    {command}\n" in (root / "docs" / "training.md").read_text()
     assert f"- Command: `{command}`\n" in (root / "models" / "stamp.md").read_text()
