@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import logging
 import os
@@ -57,54 +58,24 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
         thread = threading.Thread(target=_wait_for_parent, args=(loop, stop), daemon=True)
         thread.start()
     world = World(mission)
-    if options.follow is not None:
-        await _follow(mission, world, truth, options.follow, stop)
-    else:
-        await _fly(mission, world, truth, options, stop)
-    _LOG.info("ended")
-
-
-async def _fly(
-    mission: Mission,
-    world: World,
-    truth: TruthFile,
-    options: argparse.Namespace,
-    stop: asyncio.Event,
-) -> None:
-    """The mock autopilot in the world, until `stop`."""
-    simulation = MockFlight(mission, world, tuple(options.fault))
-    speed_up = options.speed_up or mission.vehicle.speed_up
-    camera = CameraServer(
-        mission.camera.model, mission.simulation.seed, simulation.scene, truth.write
-    )
-    async with camera:
-        simulation.camera = camera
-        await simulation.open_links(options.mavlink_out)
-        async with asyncio.TaskGroup() as tasks:
-            flight = tasks.create_task(simulation.run(speed_up), name="flight")
-            _announce(camera, world, truth)
-            await stop.wait()
-            flight.cancel()
-        simulation.close_links()
-
-
-async def _follow(
-    mission: Mission,
-    world: World,
-    truth: TruthFile,
-    address: tuple[str, int],
-    stop: asyncio.Event,
-) -> None:
-    """The world below a vehicle that flies elsewhere, until `stop`."""
-    async with Follower(world, address) as follower:
-        camera = CameraServer(
-            mission.camera.model, mission.simulation.seed, follower.scene, truth.write
-        )
+    model, seed = mission.camera.model, mission.simulation.seed
+    async with contextlib.AsyncExitStack() as stack:
+        if options.follow is not None:
+            follower = await stack.enter_async_context(Follower(world, options.follow))
+            camera = CameraServer(model, seed, follower.scene, truth.write)
+            vehicle = follower.run(camera)
+        else:
+            flight = MockFlight(mission, world, tuple(options.fault))
+            flight.camera = camera = CameraServer(model, seed, flight.scene, truth.write)
+            await flight.open_links(options.mavlink_out)
+            stack.callback(flight.close_links)
+            vehicle = flight.run(options.speed_up or mission.vehicle.speed_up)
         async with camera, asyncio.TaskGroup() as tasks:
-            listening = tasks.create_task(follower.run(camera), name="follow")
+            running = tasks.create_task(vehicle, name="vehicle")
             _announce(camera, world, truth)
             await stop.wait()
-            listening.cancel()
+            running.cancel()
+    _LOG.info("ended")
 
 
 def _announce(camera: CameraServer, world: World, truth: TruthFile) -> None:

@@ -89,10 +89,7 @@ class Commander:
     def request_mode(self, mode: Px4Mode) -> bool:
         """Ask for a mode. -> whether it may fly; on the ground and disarmed every mode may."""
         if self.is_armed and not self._can_run(mode):
-            self._say(
-                _CRITICAL,
-                f"Switching to mode {mode.name} is currently not possible",
-            )
+            self._say(_CRITICAL, f"Switching to mode {mode.name} is currently not possible")
             return False
         self.intent = mode
         self._battery_action_since_s = None
@@ -117,10 +114,7 @@ class Commander:
             self._say(_CRITICAL, "Arming denied: Resolve system health failures first")
             return False
         if self.intent.prevents_arming or not self._can_run(self.intent):
-            self._say(
-                _CRITICAL,
-                f"Arming denied: mode {self.intent.name} not possible",
-            )
+            self._say(_CRITICAL, f"Arming denied: mode {self.intent.name} not possible")
             return False
         self.armed_since_s = inputs.time_s
         self._has_flown = False

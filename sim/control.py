@@ -42,25 +42,11 @@ class PositionController:
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
-        self._read = -1
-        self._integral = [0.0, 0.0, 0.0]
-        self._read_gains()
+        self.reset()
 
     def reset(self) -> None:
         """Forget the integrals, as on the ground."""
         self._integral = [0.0, 0.0, 0.0]
-
-    def _read_gains(self) -> None:
-        p = self._parameters
-        self._read = p.changes
-        self._position_p = (p["MPC_XY_P"], p["MPC_XY_P"], p["MPC_Z_P"])
-        self._velocity_p = (p["MPC_XY_VEL_P_ACC"], p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"])
-        self._velocity_i = (p["MPC_XY_VEL_I_ACC"], p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"])
-        self._velocity_d = (p["MPC_XY_VEL_D_ACC"], p["MPC_XY_VEL_D_ACC"], 0.0)
-        self._speed_max = p["MPC_XY_VEL_MAX"]
-        self._down_max = p["MPC_Z_VEL_MAX_DN"]
-        self._up_max = p["MPC_Z_VEL_MAX_UP"]
-        self._tilt_max = math.tan(math.radians(p["MPC_TILTMAX_AIR"]))
 
     def thrust(
         self,
@@ -72,8 +58,10 @@ class PositionController:
         dt_s: float,
     ) -> Vector3:
         """One step of control, climbing no faster than `climb_max_m_s`. -> NED thrust in m/s2."""
-        if self._read != self._parameters.changes:
-            self._read_gains()
+        p = self._parameters
+        gains = (p["MPC_XY_VEL_P_ACC"], p["MPC_XY_VEL_P_ACC"], p["MPC_Z_VEL_P_ACC"])
+        rates = (p["MPC_XY_VEL_I_ACC"], p["MPC_XY_VEL_I_ACC"], p["MPC_Z_VEL_I_ACC"])
+        damping = (p["MPC_XY_VEL_D_ACC"], p["MPC_XY_VEL_D_ACC"], 0.0)
         wanted = self._wanted_velocity(setpoint, position, climb_max_m_s)
         push, errors = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         for axis in (0, 1, 2):
@@ -82,13 +70,13 @@ class PositionController:
             if isnan(wanted[axis]):
                 continue
             errors[axis] = wanted[axis] - velocity[axis]
-            push[axis] += self._velocity_p[axis] * errors[axis] + self._integral[axis]
-            push[axis] -= self._velocity_d[axis] * acceleration[axis]
+            push[axis] += gains[axis] * errors[axis] + self._integral[axis]
+            push[axis] -= damping[axis] * acceleration[axis]
         thrust = self._limited(push)
         for axis in (0, 1):  # anti-windup: what the limits take away is not integrated
-            errors[axis] -= _WINDUP_GAIN / self._velocity_p[axis] * (push[axis] - thrust[axis])
+            errors[axis] -= _WINDUP_GAIN / gains[axis] * (push[axis] - thrust[axis])
         for axis in (0, 1, 2):
-            integral = self._integral[axis] + self._velocity_i[axis] * errors[axis] * dt_s
+            integral = self._integral[axis] + rates[axis] * errors[axis] * dt_s
             self._integral[axis] = min(max(integral, -_INTEGRAL_MAX_M_S2), _INTEGRAL_MAX_M_S2)
         return thrust
 
@@ -96,23 +84,26 @@ class PositionController:
         self, setpoint: TrajectorySetpoint, position: list[float], climb_max_m_s: float
     ) -> list[float]:
         """Velocity setpoint: position P plus feed-forward, limited. NaN where neither is given."""
+        p = self._parameters
         correction, feed, free = [0.0] * 3, [0.0] * 3, [False] * 3
-        for axis in (0, 1, 2):
+        for axis, gain in enumerate((p["MPC_XY_P"], p["MPC_XY_P"], p["MPC_Z_P"])):
             at, speed = setpoint.position[axis], setpoint.velocity[axis]
             free[axis] = isnan(at) and isnan(speed)
             if not isnan(at):
-                correction[axis] = (at - position[axis]) * self._position_p[axis]
+                correction[axis] = (at - position[axis]) * gain
             if not isnan(speed):
                 feed[axis] = speed
-        north, east = _within(correction, feed, self._speed_max)
-        down = min(max(correction[2] + feed[2], -min(self._up_max, climb_max_m_s)), self._down_max)
+        north, east = _within(correction, feed, p["MPC_XY_VEL_MAX"])
+        up_max = min(p["MPC_Z_VEL_MAX_UP"], climb_max_m_s)
+        down = min(max(correction[2] + feed[2], -up_max), p["MPC_Z_VEL_MAX_DN"])
         return [nan if free[i] else v for i, v in enumerate((north, east, down))]
 
     def _limited(self, push: list[float]) -> Vector3:
         """Thrust for an acceleration, within the limits on thrust and tilt; upward comes first."""
         up = min(max(GRAVITY_M_S2 - push[2], _THRUST_MIN_M_S2), _THRUST_MAX_M_S2)
         sideways = math.hypot(push[0], push[1])
-        most = min(up * self._tilt_max, math.sqrt(max(_THRUST_MAX_M_S2**2 - up * up, 0.0)))
+        tilt_max = math.tan(math.radians(self._parameters["MPC_TILTMAX_AIR"]))
+        most = min(up * tilt_max, math.sqrt(max(_THRUST_MAX_M_S2**2 - up * up, 0.0)))
         scale = min(1.0, most / sideways) if sideways > 0.0 else 0.0
         return (push[0] * scale, push[1] * scale, -up)
 

@@ -24,10 +24,17 @@ _HEARTBEAT_INTERVAL_S = 1.0
 _HEARTBEAT = mavlink.MAVLink_heartbeat_message(
     mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
 )
-_WANTED_HZ = {
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-}
+_WISHES = (  # command, confirmation, first and second parameter; intervals in microseconds
+    (mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0),
+    (mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, 0.0),
+    (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, mavlink.MAVLINK_MSG_ID_ATTITUDE, 1e6 / 50.0),
+    (
+        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+        0,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        1e6 / 30.0,
+    ),
+)
 
 
 def parse_udpin(url: str) -> tuple[str, int]:
@@ -105,9 +112,6 @@ class Follower(asyncio.DatagramProtocol):
         if self._camera is not None:
             self._camera.silent = not self.is_ready
 
-    def error_received(self, exc: Exception) -> None:
-        """The vehicle is away (asyncio's callback); it may come back."""
-
     def _hear(self, message: Any, address: tuple[str, int]) -> None:
         kind = message.get_type()
         sender = message.get_srcSystem(), message.get_srcComponent()
@@ -162,18 +166,9 @@ class Follower(asyncio.DatagramProtocol):
         """Ask the vehicle, if one is heard, for home, origin and a pose at useful rates."""
         if self._vehicle is None:
             return
-        commands = [
-            (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0),
-            (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, 0.0),
-        ]
-        for number, rate_hz in _WANTED_HZ.items():
-            commands.append((mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz))
-        for command, first, second in commands:
-            self._send(
-                mavlink.MAVLink_command_long_message(
-                    *self._vehicle, command, 0, first, second, 0.0, 0.0, 0.0, 0.0, 0.0
-                )
-            )
+        for command in _WISHES:
+            params = (*command, *(0.0,) * 5)
+            self._send(mavlink.MAVLink_command_long_message(*self._vehicle, *params))
 
     def _send(self, message: Any) -> None:
         packet = message.pack(self._mav)

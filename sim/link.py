@@ -27,7 +27,7 @@ from sim.commands import (
     whole,
 )
 from sim.mission_protocol import MissionProtocol
-from sim.parameters import TABLE
+from sim.parameters import INDEX, TABLE
 from sim.streams import STREAMS, Builder
 
 _DATAGRAM_BYTES = 1200
@@ -44,10 +44,6 @@ class _Stream:
         self.build = build
         self.interval_s = 1.0 / rate_hz if rate_hz > 0.0 else 0.0
         self.due_s = BOOT_S
-
-    def set_interval(self, interval_s: float, now_s: float) -> None:
-        self.interval_s = interval_s
-        self.due_s = now_s
 
 
 class MavlinkLink(asyncio.DatagramProtocol):
@@ -70,9 +66,6 @@ class MavlinkLink(asyncio.DatagramProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Keep the socket (asyncio's callback)."""
         self._transport = cast("asyncio.DatagramTransport", transport)
-
-    def error_received(self, exc: Exception) -> None:
-        """Nobody listens there yet (asyncio's callback): a radio would not know."""
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """Handle what was sent to the vehicle (asyncio's callback)."""
@@ -173,16 +166,19 @@ class MavlinkLink(asyncio.DatagramProtocol):
         elif kind == "FILE_TRANSFER_PROTOCOL":
             asked = bytes(message.payload)
             sequence = (int.from_bytes(asked[:2], "little") + 1) % 65536
-            head = [
-                *sequence.to_bytes(2, "little"),
-                asked[2],
-                mavlink.MAV_FTP_OPCODE_NAK,
-                1,
-                asked[3],
+            head = (
+                sequence.to_bytes(2, "little"),
+                (asked[2], mavlink.MAV_FTP_OPCODE_NAK, 1, asked[3]),
+            )
+            payload = [
+                *head[0],
+                *head[1],
                 0,
                 0,
+                *asked[8:12],
+                mavlink.MAV_FTP_ERR_UNKNOWNCOMMAND,
+                *([0] * 238),
             ]
-            payload = [*head, *asked[8:12], mavlink.MAV_FTP_ERR_UNKNOWNCOMMAND, *([0] * 238)]
             self._send(mavlink.MAVLink_file_transfer_protocol_message(0, *sender, payload))
 
     def _take_setpoint(self, message: Any) -> None:
@@ -243,8 +239,8 @@ class MavlinkLink(asyncio.DatagramProtocol):
         if interval_us == 0.0:
             rate_hz = next(r for build, r in STREAMS.values() if build is stream.build)
             interval_us = 1e6 / rate_hz if rate_hz > 0.0 else -1.0
-        interval_s = max(interval_us / 1e6, STEP_S) if interval_us > 0.0 else 0.0
-        stream.set_interval(interval_s, self._autopilot.time_s)
+        stream.interval_s = max(interval_us / 1e6, STEP_S) if interval_us > 0.0 else 0.0
+        stream.due_s = self._autopilot.time_s
         self._active = self._in_use()
         return ACCEPTED
 
@@ -257,7 +253,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
         if kind == "PARAM_REQUEST_READ" and message.param_index >= 0:
             index = message.param_index if message.param_index < len(TABLE) else None
         elif kind in ("PARAM_REQUEST_READ", "PARAM_SET"):
-            index = parameters.index(message.param_id)
+            index = INDEX.get(message.param_id)
         else:
             return
         if index is None:

@@ -5,7 +5,6 @@ They are stored, not flown.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -26,21 +25,12 @@ class MissionStore:
         self.current = 0
 
 
-@dataclass(slots=True, kw_only=True)
-class _Upload:
-    """An upload under way."""
-
-    mission_type: int
-    count: int
-    items: list[Any]
-
-
 class MissionProtocol:
     """One link's side of the mission protocol; `answer` gives the replies to a message."""
 
     def __init__(self, store: MissionStore) -> None:
         self._store = store
-        self._upload: _Upload | None = None
+        self._upload: tuple[int, int, list[Any]] | None = None  # type, count, items so far
 
     def answer(self, message: Any) -> list[Any]:
         """Replies to one message; none if it is not of this protocol."""
@@ -63,24 +53,24 @@ class MissionProtocol:
             return [_mission_ack(message, mavlink.MAV_MISSION_NO_SPACE)]
         if message.count == 0:
             return self._finish(message, [])
-        self._upload = _Upload(mission_type=message.mission_type, count=message.count, items=[])
+        self._upload = (message.mission_type, message.count, [])
         return [_request(message, 0)]
 
     def _take_item(self, message: Any) -> list[Any]:
         """Take the next item; a repeated one is answered with the request for the next again."""
-        upload = self._upload
-        if upload is None:
+        if self._upload is None:
             stored = self._store.items.get(message.mission_type, [])
             is_repeat = message.seq == len(stored) - 1
             result = mavlink.MAV_MISSION_ACCEPTED if is_repeat else mavlink.MAV_MISSION_ERROR
             return [_mission_ack(message, result)]
-        if message.mission_type != upload.mission_type:
+        mission_type, count, items = self._upload
+        if message.mission_type != mission_type:
             return [_mission_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
-        if message.seq == len(upload.items):
-            upload.items.append(message)
-        if len(upload.items) < upload.count:
-            return [_request(message, len(upload.items))]
-        return self._finish(message, upload.items)
+        if message.seq == len(items):
+            items.append(message)
+        return (
+            [_request(message, len(items))] if len(items) < count else self._finish(message, items)
+        )
 
     def _finish(self, message: Any, items: list[Any]) -> list[Any]:
         self._upload = None
@@ -132,6 +122,5 @@ def _mission_ack(message: Any, result: int) -> Any:
 
 
 def _request(message: Any, sequence: int) -> Any:
-    return mavlink.MAVLink_mission_request_int_message(
-        *_to(message), sequence, message.mission_type
-    )
+    where = _to(message)
+    return mavlink.MAVLink_mission_request_int_message(*where, sequence, message.mission_type)

@@ -1,14 +1,13 @@
 """The autopilot's parameters: PX4's names, types and defaults, for those that have an effect here.
 
-The defaults are those that were measured to act in PX4 v1.17 SITL, such as a return altitude of
-30 m.
+The defaults were measured to act in PX4 v1.17 SITL, such as a return altitude of 30 m.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -16,8 +15,7 @@ _INT32: int = mavlink.MAV_PARAM_TYPE_INT32
 _REAL32: int = mavlink.MAV_PARAM_TYPE_REAL32
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(NamedTuple):
     """One parameter: its default, which also gives its type, and the values that make sense."""
 
     name: str
@@ -71,32 +69,23 @@ TABLE = (
     Parameter("SYS_AUTOSTART", 10040, 0, 9_999_999),
 )
 _BY_NAME = {parameter.name: parameter for parameter in TABLE}
-_INDEX = {parameter.name: index for index, parameter in enumerate(TABLE)}
+INDEX = {parameter.name: index for index, parameter in enumerate(TABLE)}
 
 
 class Parameters:
-    """The values of all parameters; they outlive a reboot.
-
-    `changes` grows with every change, so that a reader knows when to read again.
-    """
+    """The values of all parameters; they outlive a reboot."""
 
     def __init__(self) -> None:
         self._values: dict[str, float | int] = {p.name: p.default for p in TABLE}
-        self.changes = 0
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
-
-    def index(self, name: str) -> int | None:
-        """Place in the list; None if there is no such parameter."""
-        return _INDEX.get(name)
 
     def set(self, name: str, value: float) -> None:
         """Store a value, kept within the parameter's bounds and of its type."""
         parameter = _BY_NAME[name]
         bounded = min(max(value, parameter.low), parameter.high)
         self._values[name] = round(bounded) if isinstance(parameter.default, int) else bounded
-        self.changes += 1
 
     def on_wire(self, index: int) -> tuple[str, float, int]:
         """Name, value and MAVLink type as PARAM_VALUE carries them: an int32's bytes as a float."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dronemon.types import APPEARANCES
+from dronemon.types import APPEARANCES, Vector3
 
 Field = NDArray[np.floating]
 """One value for every pixel of a drawing."""
@@ -39,17 +39,13 @@ class Species:
     half_width_m: tuple[float, ...]
     """Of the trunk, at each x of the outline."""
     back_height_m: float
-    legs_m: tuple[float, float, float, float]
-    """x of the hind and of the fore legs, half their distance, and their radius."""
+    legs: tuple[float, float, float, float, Vector3]
+    """x of the hind and of the fore legs, half their distance and radius in m, colour."""
     stride_m: float
-    leg_colour: tuple[float, float, float]
-    tail_m: tuple[float, float]
-    """Length and radius."""
-    tail_colours: tuple[tuple[float, float, float], tuple[float, float, float]]
-    """At its root and at its tip."""
-    ears_m: tuple[float, float, float]
-    """x, half their distance, radius."""
-    ear_colour: tuple[float, float, float]
+    tail: tuple[float, float, Vector3, Vector3]
+    """Length and radius in m, colours at its root and at its tip."""
+    ears: tuple[float, float, float, Vector3]
+    """x, half their distance and radius in m, colour."""
     has_antlers: bool = False
 
     @property
@@ -62,14 +58,14 @@ class Species:
     def half_length_m(self) -> float:
         """From the centre to the nose or the tip of the tail, whichever is further."""
         rump_m, nose_m = self.outline_x_m[0], self.outline_x_m[-1]
-        return max(nose_m - self.centre_x_m, self.centre_x_m - rump_m + self.tail_m[0])
+        return max(nose_m - self.centre_x_m, self.centre_x_m - rump_m + self.tail[0])
 
 
-def _plain(x: Field, colour: tuple[float, float, float]) -> Field:
+def _plain(x: Field, colour: Vector3) -> Field:
     return np.broadcast_to(np.array(colour, np.float32), (*x.shape, 3)).copy()
 
 
-def _mix(base: Field, colour: tuple[float, float, float], weight: Field) -> Field:
+def _mix(base: Field, colour: Vector3, weight: Field) -> Field:
     return base + np.clip(weight, 0.0, 1.0)[..., None] * (np.array(colour, np.float32) - base)
 
 
@@ -133,26 +129,20 @@ SPECIES: dict[str, Species] = {
         outline_x_m=(-0.95, -0.85, -0.5, 0.0, 0.45, 0.70, 0.85, 1.0, 1.2, 1.3),
         half_width_m=(0.10, 0.27, 0.33, 0.38, 0.31, 0.18, 0.15, 0.16, 0.10, 0.06),
         back_height_m=1.4,
-        legs_m=(-0.65, 0.45, 0.28, 0.07),
+        legs=(-0.65, 0.45, 0.28, 0.07, _PALE),
         stride_m=1.3,
-        leg_colour=_PALE,
-        tail_m=(0.30, 0.03),
-        tail_colours=(_WHITE, _BLACK),
-        ears_m=(0.93, 0.20, 0.06),
-        ear_colour=_BLACK,
+        tail=(0.30, 0.03, _WHITE, _BLACK),
+        ears=(0.93, 0.20, 0.06, _BLACK),
     ),
     "deer": Species(
         coat=_deer,
         outline_x_m=(-0.70, -0.60, -0.3, 0.05, 0.35, 0.50, 0.72, 0.82, 0.98, 1.08),
         half_width_m=(0.08, 0.19, 0.22, 0.22, 0.17, 0.09, 0.08, 0.10, 0.07, 0.04),
         back_height_m=1.0,
-        legs_m=(-0.45, 0.30, 0.16, 0.045),
+        legs=(-0.45, 0.30, 0.16, 0.045, _TAN),
         stride_m=1.1,
-        leg_colour=_TAN,
-        tail_m=(0.15, 0.05),
-        tail_colours=(_WHITE, _WHITE),
-        ears_m=(0.76, 0.15, 0.05),
-        ear_colour=_TAN,
+        tail=(0.15, 0.05, _WHITE, _WHITE),
+        ears=(0.76, 0.15, 0.05, _TAN),
         has_antlers=True,
     ),
     "fox": Species(
@@ -160,78 +150,60 @@ SPECIES: dict[str, Species] = {
         outline_x_m=(-0.40, -0.32, 0.0, 0.18, 0.28, 0.38, 0.46, 0.56),
         half_width_m=(0.07, 0.13, 0.14, 0.13, 0.10, 0.11, 0.07, 0.03),
         back_height_m=0.45,
-        legs_m=(-0.25, 0.18, 0.11, 0.035),
+        legs=(-0.25, 0.18, 0.11, 0.035, _BLACK),
         stride_m=0.6,
-        leg_colour=_BLACK,
-        tail_m=(0.42, 0.075),
-        tail_colours=(_RUSSET, _WHITE),
-        ears_m=(0.34, 0.10, 0.045),
-        ear_colour=_BLACK,
+        tail=(0.42, 0.075, _RUSSET, _WHITE),
+        ears=(0.34, 0.10, 0.045, _BLACK),
     ),
     "horse": Species(
         coat=_horse,
         outline_x_m=(-1.0, -0.88, -0.55, -0.1, 0.3, 0.55, 0.75, 1.0, 1.2, 1.4, 1.5),
         half_width_m=(0.12, 0.27, 0.31, 0.28, 0.29, 0.20, 0.12, 0.10, 0.11, 0.07, 0.05),
         back_height_m=1.55,
-        legs_m=(-0.70, 0.40, 0.24, 0.06),
+        legs=(-0.70, 0.40, 0.24, 0.06, _BLACK),
         stride_m=1.7,
-        leg_colour=_BLACK,
-        tail_m=(0.45, 0.07),
-        tail_colours=(_BLACK, _BLACK),
-        ears_m=(1.08, 0.09, 0.045),
-        ear_colour=_CHESTNUT,
+        tail=(0.45, 0.07, _BLACK, _BLACK),
+        ears=(1.08, 0.09, 0.045, _CHESTNUT),
     ),
     "panda": Species(
         coat=_panda,
         outline_x_m=(-0.75, -0.62, -0.25, 0.1, 0.38, 0.48, 0.60, 0.75, 0.88, 0.95),
         half_width_m=(0.12, 0.32, 0.40, 0.37, 0.28, 0.21, 0.25, 0.22, 0.12, 0.06),
         back_height_m=0.75,
-        legs_m=(-0.45, 0.32, 0.36, 0.12),
+        legs=(-0.45, 0.32, 0.36, 0.12, _BLACK),
         stride_m=0.8,
-        leg_colour=_BLACK,
-        tail_m=(0.10, 0.05),
-        tail_colours=(_WHITE, _WHITE),
-        ears_m=(0.56, 0.22, 0.09),
-        ear_colour=_BLACK,
+        tail=(0.10, 0.05, _WHITE, _WHITE),
+        ears=(0.56, 0.22, 0.09, _BLACK),
     ),
     "sheep": Species(
         coat=_sheep,
         outline_x_m=(-0.62, -0.52, -0.25, 0.1, 0.35, 0.48, 0.60, 0.72, 0.80),
         half_width_m=(0.12, 0.26, 0.31, 0.31, 0.25, 0.14, 0.12, 0.09, 0.05),
         back_height_m=0.8,
-        legs_m=(-0.40, 0.28, 0.22, 0.05),
+        legs=(-0.40, 0.28, 0.22, 0.05, _BLACK),
         stride_m=0.8,
-        leg_colour=_BLACK,
-        tail_m=(0.16, 0.06),
-        tail_colours=(_WOOL, _WOOL),
-        ears_m=(0.55, 0.15, 0.05),
-        ear_colour=_BLACK,
+        tail=(0.16, 0.06, _WOOL, _WOOL),
+        ears=(0.55, 0.15, 0.05, _BLACK),
     ),
     "tiger": Species(
         coat=_tiger,
         outline_x_m=(-0.80, -0.70, -0.35, 0.1, 0.45, 0.62, 0.75, 0.90, 1.02),
         half_width_m=(0.10, 0.20, 0.23, 0.22, 0.23, 0.16, 0.17, 0.14, 0.07),
         back_height_m=0.95,
-        legs_m=(-0.50, 0.42, 0.20, 0.075),
+        legs=(-0.50, 0.42, 0.20, 0.075, _TIGER),
         stride_m=1.2,
-        leg_colour=_TIGER,
-        tail_m=(0.85, 0.05),
-        tail_colours=(_TIGER, _BLACK),
-        ears_m=(0.72, 0.14, 0.05),
-        ear_colour=_BLACK,
+        tail=(0.85, 0.05, _TIGER, _BLACK),
+        ears=(0.72, 0.14, 0.05, _BLACK),
     ),
     "zebra": Species(
         coat=_zebra,
         outline_x_m=(-0.95, -0.82, -0.5, -0.1, 0.25, 0.50, 0.70, 0.92, 1.08, 1.25, 1.32),
         half_width_m=(0.12, 0.26, 0.30, 0.28, 0.28, 0.19, 0.12, 0.10, 0.11, 0.07, 0.05),
         back_height_m=1.35,
-        legs_m=(-0.65, 0.38, 0.22, 0.055),
+        legs=(-0.65, 0.38, 0.22, 0.055, _PALE),
         stride_m=1.5,
-        leg_colour=_PALE,
-        tail_m=(0.38, 0.04),
-        tail_colours=(_WHITE, _BLACK),
-        ears_m=(0.98, 0.09, 0.05),
-        ear_colour=_BLACK,
+        tail=(0.38, 0.04, _WHITE, _BLACK),
+        ears=(0.98, 0.09, 0.05, _BLACK),
     ),
 }
 assert set(SPECIES) == set(APPEARANCES)

@@ -63,7 +63,7 @@ def drawn_size_m(appearance: str) -> tuple[float, float, float]:
     """Length from nose to tail, both legs' and ears' width, and height of the trunk, as drawn."""
     species = SPECIES[appearance]
     length = 2.0 * species.half_length_m
-    width = 2.0 * max(_half_breadth_m(species), species.legs_m[2] + 0.1)
+    width = 2.0 * max(_half_breadth_m(species), species.legs[2] + 0.1)
     height = _TRUNK_HEIGHT * species.back_height_m
     return length * DRAWN_SCALE, width * DRAWN_SCALE, height * DRAWN_SCALE
 
@@ -158,9 +158,9 @@ def _draw_sprite(species: Species, canvas: _Canvas, phase: float) -> Sprite:
     colour = np.clip(species.coat(canvas.x, y) * shade, 0.0, 1.0)
     body.paint(canvas.inside(np.minimum(half_width - np.abs(y), ends)), colour)
 
-    ear_x, ear_y, ear_radius = species.ears_m
+    ear_x, ear_y, ear_radius, ear_colour = species.ears
     for side in (-1.0, 1.0):
-        body.paint(canvas.disc(ear_x, side * ear_y, ear_radius), species.ear_colour)
+        body.paint(canvas.disc(ear_x, side * ear_y, ear_radius), ear_colour)
         if species.has_antlers:
             _draw_antler(body, canvas, ear_x, side)
     return Sprite(
@@ -172,22 +172,17 @@ def _draw_sprite(species: Species, canvas: _Canvas, phase: float) -> Sprite:
 
 def _draw_legs(layer: _Layer, species: Species, canvas: _Canvas, phase: float) -> None:
     """Four legs in the order of a walk: each a quarter of a stride after the one before."""
-    hind_x, fore_x, half_distance, radius = species.legs_m
+    hind_x, fore_x, half_distance, radius, colour = species.legs
     reach = 0.25 * species.stride_m
-    for x, side, lag in (
-        (hind_x, -1, 0.0),
-        (fore_x, -1, 0.25),
-        (hind_x, 1, 0.5),
-        (fore_x, 1, 0.75),
-    ):
-        foot = x + reach * math.sin(2.0 * math.pi * (phase - lag))
+    walk = ((hind_x, -1), (fore_x, -1), (hind_x, 1), (fore_x, 1))
+    for quarter, (x, side) in enumerate(walk):
+        foot = x + reach * math.sin(2.0 * math.pi * (phase - 0.25 * quarter))
         y = side * half_distance
-        layer.paint(canvas.capsule((x, 0.8 * y), (foot, y), radius), species.leg_colour)
+        layer.paint(canvas.capsule((x, 0.8 * y), (foot, y), radius), colour)
 
 
 def _draw_tail(layer: _Layer, species: Species, canvas: _Canvas, swing: float) -> None:
-    rump_m, (length, radius) = species.outline_x_m[0], species.tail_m
-    root, tip = species.tail_colours
+    rump_m, (length, radius, root, tip) = species.outline_x_m[0], species.tail
     middle = (rump_m - 0.65 * length, 0.10 * length * swing)
     end = (rump_m - length, -0.18 * length * swing)
     layer.paint(canvas.capsule((rump_m + 0.05, 0.0), middle, radius), root)

@@ -12,11 +12,9 @@ class FrameSource(Protocol):
 
     async def __aenter__(self) -> Self:
         """Open the stream. Raises CameraError if it cannot be opened in time."""
-        ...
 
     async def __aexit__(self, *exc: object) -> None:
         """Close the stream."""
-        ...
 
     async def capture(self) -> Picture:
         """A picture taken as close to now as the source can.
@@ -24,4 +22,3 @@ class FrameSource(Protocol):
         Raises CameraError when none came in time or the stream was lost. The next call tries again,
         with a new connection where that helps.
         """
-        ...

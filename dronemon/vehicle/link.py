@@ -79,74 +79,56 @@ class VehicleLink(Protocol):
     @property
     def state(self) -> VehicleState:
         """The newest state."""
-        ...
 
     @property
     def pose(self) -> Pose:
         """The newest pose. Raises LinkTimeout before the first."""
-        ...
 
     @property
     def time_s(self) -> float:
         """Vehicle time since boot of the newest pose: a link is a Clock."""
-        ...
 
     async def next_pose(self) -> Pose:
         """Wait for a pose newer than the last one given; a slow reader misses poses, never lags."""
-        ...
 
     async def poses_around(self, time_s: float) -> tuple[Pose, Pose]:
         """Wait for the poses just before and just after an instant of the recent past or future."""
-        ...
 
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true; `what` says it in errors."""
-        ...
 
     async def wait_ready(self, timeout_s: float) -> None:
         """Wait until the vehicle knows where it is and passes its arming checks."""
-        ...
 
     async def arm(self) -> None:
         """Start the motors."""
-        ...
 
     async def disarm(self) -> None:
         """Stop the motors; only on the ground."""
-        ...
 
     async def take_off(self, height_m: float) -> None:
         """Climb to a height above the present place and hold there."""
-        ...
 
     async def start_offboard(self, setpoint: Setpoint) -> None:
         """Hand the vehicle over to our setpoints, beginning with this one."""
-        ...
 
     async def send_setpoint(self, setpoint: Setpoint) -> None:
         """Send one setpoint; the vehicle's own failsafe ends offboard control when they stop."""
-        ...
 
     async def hold(self) -> None:
         """Stop and stay."""
-        ...
 
     async def return_home(self) -> None:
         """Begin to fly home and land there, by the autopilot alone."""
-        ...
 
     async def land(self) -> None:
         """Begin to land here, by the autopilot alone."""
-        ...
 
     def texts(self) -> list[StatusText]:
         """What the autopilot said in words since the last call."""
-        ...
 
     async def next_heartbeat(self) -> None:
         """Wait for the next heartbeat: what it says of mode and arming is fresh."""
-        ...
 
     def release(self) -> None:
         """From now on any mode is welcome: whoever chose it is in control."""
-        ...

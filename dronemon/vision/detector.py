@@ -20,4 +20,3 @@ class Detector(Protocol):
         -> any number of each appearance, in any order, with scores from 0 to 1
         Raises CameraError if the picture is not of the size that was agreed on.
         """
-        ...
