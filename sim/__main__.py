@@ -83,7 +83,7 @@ def _announce(camera: CameraServer, world: World, truth: TruthFile) -> None:
     line = {
         "camera": f"tcp://127.0.0.1:{camera.port}",
         "targets_au": world.targets_au(0.0).tolist(),
-        "truth": None if truth.path is None else str(truth.path),
+        "truth": truth.path and str(truth.path),
     }
     sys.stdout.write(json.dumps(line) + "\n")
     sys.stdout.flush()

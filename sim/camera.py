@@ -99,12 +99,8 @@ class CameraServer:
 
 def encode(image: ImageArray) -> bytes:
     """The picture as it goes over the wire: a JPEG without colour subsampling."""
-    options = [
-        cv2.IMWRITE_JPEG_QUALITY,
-        JPEG_QUALITY,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-    ]
+    full_colour = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+    options = (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *full_colour)
     is_encoded, jpeg = cv2.imencode(".jpg", image, options)
     assert is_encoded
     return jpeg.tobytes()

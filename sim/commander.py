@@ -113,7 +113,7 @@ class Commander:
         if not inputs.is_ready or self.charge >= Charge.CRITICAL:
             self._say(_CRITICAL, "Arming denied: Resolve system health failures first")
             return False
-        if self.intent.prevents_arming or not self._can_run(self.intent):
+        if self.intent in (Px4Mode.RTL, Px4Mode.LAND) or not self._can_run(self.intent):
             self._say(_CRITICAL, f"Arming denied: mode {self.intent.name} not possible")
             return False
         self.armed_since_s = inputs.time_s

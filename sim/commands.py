@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from dronemon.types import Vector3
 from sim.autopilot import Autopilot
 from sim.control import TrajectorySetpoint
-from sim.modes import Px4Mode, mode_from_parts
+from sim.modes import Px4Mode
 
 ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
 REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
@@ -62,8 +62,11 @@ def _mode(autopilot: Autopilot, mode: Px4Mode) -> int:
 def _set_mode(autopilot: Autopilot, params: tuple[float, ...]) -> int:
     if not whole(params[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return REJECTED
-    mode = mode_from_parts(whole(params[1]), max(whole(params[2]), 0))
-    return REJECTED if mode is None else _mode(autopilot, mode)
+    try:
+        mode = Px4Mode(whole(params[1]) << 16 | max(whole(params[2]), 0) << 24)
+    except ValueError:
+        return REJECTED
+    return _mode(autopilot, mode)
 
 
 def _arm_or_disarm(autopilot: Autopilot, params: tuple[float, ...]) -> int:

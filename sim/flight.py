@@ -19,7 +19,7 @@ from sim.autopilot import STEP_S, Autopilot
 from sim.camera import CameraServer
 from sim.dynamics import Wind
 from sim.faults import LASTING, Fault, FaultSchedule
-from sim.link import MavlinkLink, open_link
+from sim.link import MavlinkLink
 from sim.scene import Scene
 from sim.world import World, home_place
 
@@ -80,8 +80,11 @@ class MockFlight:
 
     async def open_links(self, remotes: list[tuple[str, int]]) -> None:
         """Stream to these addresses from now on."""
+        loop = asyncio.get_running_loop()
         for remote in remotes:
-            self._links.append(await open_link(self.autopilot, remote, self._active_faults))
+            link = partial(MavlinkLink, self.autopilot, remote, self._active_faults)
+            endpoint = await loop.create_datagram_endpoint(link, local_addr=("127.0.0.1", 0))
+            self._links.append(endpoint[1])
 
     def close_links(self) -> None:
         """Close all sockets."""
@@ -121,12 +124,8 @@ class MockFlight:
             await self._keep_pace(speed_up)
         finally:
             flown_s, wall_s = self._time_s - started_at_s, time.monotonic() - begin_s
-            _LOG.info(
-                "simulated %.0f s, %.1f times real time (%g asked)",
-                flown_s,
-                flown_s / max(wall_s, 1e-9),
-                speed_up,
-            )
+            ratio = flown_s / max(wall_s, 1e-9)
+            _LOG.info("simulated %.0f s, %.1f times real time (%g asked)", flown_s, ratio, speed_up)
 
     async def _keep_pace(self, speed_up: float) -> None:
         due_s, last_s = self._time_s, time.monotonic()

@@ -47,7 +47,7 @@ class _Stream:
 
 
 class MavlinkLink(asyncio.DatagramProtocol):
-    """One UDP link to `remote`; made by `open_link`.
+    """One UDP link to `remote`.
 
     faults: kinds that are active now
     """
@@ -89,8 +89,8 @@ class MavlinkLink(asyncio.DatagramProtocol):
             return
         while self._pending:
             self._send(self._pending.popleft())
-        for stream in self._active:
-            if now_s >= stream.due_s:
+        for stream in self._streams.values():
+            if stream.interval_s > 0.0 and now_s >= stream.due_s:
                 stream.due_s = max(stream.due_s + stream.interval_s, now_s - STEP_S)
                 self._send(stream.build(self._autopilot))
         index = next(self._parameters_left, None)
@@ -110,14 +110,10 @@ class MavlinkLink(asyncio.DatagramProtocol):
         """Begin with the default rates and nothing under way, as after a reboot."""
         self._boots = self._autopilot.num_boots
         self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
-        self._active = self._in_use()
         self._missions = MissionProtocol(self._autopilot.missions)
         self._pending: deque[Any] = deque()
         self._parameters_left = iter(range(0))
         self._text_id = 0
-
-    def _in_use(self) -> list[_Stream]:
-        return [stream for stream in self._streams.values() if stream.interval_s > 0.0]
 
     def _send(self, message: Any) -> None:
         if message is None:
@@ -218,8 +214,8 @@ class MavlinkLink(asyncio.DatagramProtocol):
         if command.number == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
             if not 0 <= number < 65536:
                 return DENIED
-            interval_us = round(stream.interval_s * 1e6) if stream in self._active else -1
-            self._send(mavlink.MAVLink_message_interval_message(number, interval_us))
+            interval_us = round(stream.interval_s * 1e6) if stream is not None else 0
+            self._send(mavlink.MAVLink_message_interval_message(number, interval_us or -1))
             return ACCEPTED
         if command.number == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             return DENIED if stream is None else self._set_interval(stream, command.params[1])
@@ -241,7 +237,6 @@ class MavlinkLink(asyncio.DatagramProtocol):
             interval_us = 1e6 / rate_hz if rate_hz > 0.0 else -1.0
         stream.interval_s = max(interval_us / 1e6, STEP_S) if interval_us > 0.0 else 0.0
         stream.due_s = self._autopilot.time_s
-        self._active = self._in_use()
         return ACCEPTED
 
     def _serve_parameters(self, message: Any) -> None:
@@ -266,14 +261,6 @@ class MavlinkLink(asyncio.DatagramProtocol):
     def _parameter(self, index: int) -> Any:
         name, value, kind = self._autopilot.parameters.on_wire(index)
         return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(TABLE), index)
-
-
-async def open_link(autopilot: Autopilot, remote: tuple[str, int], faults: Set[str]) -> MavlinkLink:
-    """A link that streams to `remote` from a free port."""
-    _, link = await asyncio.get_running_loop().create_datagram_endpoint(
-        lambda: MavlinkLink(autopilot, remote, faults), local_addr=("127.0.0.1", 0)
-    )
-    return link
 
 
 def _command_ack(message: Any, result: int) -> Any:

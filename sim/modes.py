@@ -20,16 +20,3 @@ class Px4Mode(IntEnum):
     def is_manual(self) -> bool:
         """Whether a pilot's sticks decide."""
         return self in (Px4Mode.ALTCTL, Px4Mode.POSCTL)
-
-    @property
-    def prevents_arming(self) -> bool:
-        """Whether PX4 refuses to arm in it."""
-        return self in (Px4Mode.RTL, Px4Mode.LAND)
-
-
-def mode_from_parts(main: int, sub: int) -> Px4Mode | None:
-    """Mode of DO_SET_MODE's second and third parameter; None if the autopilot does not have it."""
-    try:
-        return Px4Mode(main << 16 | sub << 24)
-    except ValueError:
-        return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from enum import Enum, auto
 from math import nan
 
@@ -32,7 +33,7 @@ class Navigator:
     def __init__(self, parameters: Parameters, estimate: Estimator) -> None:
         self._parameters = parameters
         self._estimate = estimate
-        self._trajectory = Trajectory()
+        self._trajectory = Trajectory(estimate.position, estimate.velocity)
         self._target: Vector3 = (0.0, 0.0, 0.0)
         self._yaw_rad = 0.0
         self._return = _Return.CLIMB
@@ -54,7 +55,7 @@ class Navigator:
     def enter(self, mode: Px4Mode) -> None:
         """Begin a mode from where the vehicle is."""
         estimate = self._estimate
-        self._trajectory.start(estimate.position, estimate.velocity)
+        self._trajectory = Trajectory(estimate.position, estimate.velocity)
         self._yaw_rad = estimate.yaw
         self._cruise_m_s = None
         self._target = stopping_point(estimate.position, estimate.velocity, self._limits())
@@ -119,12 +120,7 @@ class Navigator:
         limits = self._limits(down_m_s=slow + min(max(share, 0.0), 1.0) * (fast - slow))
         self._target = (*self._target[:2], self._trajectory.position[2] + _FAR_DOWN_M)
         moving = self._moving_setpoint(limits, dt_s)
-        return TrajectorySetpoint(
-            position=(*moving.position[:2], nan),
-            velocity=moving.velocity,
-            acceleration=UNSET,
-            yaw_rad=self._yaw_rad,
-        )
+        return replace(moving, position=(*moving.position[:2], nan), acceleration=UNSET)
 
     def _advance_return(self) -> None:
         """Go on to the next stage when one is complete."""

@@ -77,12 +77,8 @@ class Renderer:
         phase = animal.walked_m / stride_m(animal.appearance) % 1.0
         sprite = self._sprites[animal.appearance][int(phase * NUM_PHASES) % NUM_PHASES]
         height_m = sprite.body_height_m
-        shadow_at = (
-            north_m + _SHADOW_PER_M[0] * height_m,
-            east_m + _SHADOW_PER_M[1] * height_m,
-            animal.heading_rad,
-        )
-        at = (north_m, east_m, animal.heading_rad)
+        shadow_m = (north_m + _SHADOW_PER_M[0] * height_m, east_m + _SHADOW_PER_M[1] * height_m)
+        shadow_at, at = (*shadow_m, animal.heading_rad), (north_m, east_m, animal.heading_rad)
         _stamp(image, view, sprite.body, at=shadow_at, height_m=0.0, is_shadow=True)
         for fraction in (0.0, 0.35, 0.7):
             _stamp(image, view, sprite.legs, at=at, height_m=fraction * height_m)
@@ -201,14 +197,10 @@ def _stamp(
 def _lay_over(part: ImageArray, layer: ImageArray, *, is_shadow: bool) -> None:
     """Mix a layer, or half its shadow, into a part of the picture."""
     alpha = layer[..., 3] // 2 if is_shadow else layer[..., 3]
-    part[:] = cv2.multiply(part, _three(255 - alpha), scale=1.0 / 255.0)
+    share = cv2.cvtColor(255 - alpha, cv2.COLOR_GRAY2BGR)
+    part[:] = cv2.multiply(part, share, scale=1.0 / 255.0)
     if not is_shadow:
         part[:] = cv2.add(part, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR))
-
-
-def _three(channel: ImageArray) -> ImageArray:
-    """One channel repeated for blue, green and red."""
-    return np.asarray(cv2.cvtColor(channel, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def _ground_from_sprite(rows: int, columns: int, at: tuple[float, float, float]) -> FloatArray:
@@ -238,12 +230,8 @@ def _draw_tape(image: ImageArray, view: _View, frame: AreaFrame) -> None:
             continue
         ends = []
         for point, other in ((start, end), (end, start)):
-            t = (
-                max(0.0, (nearest - point[2]) / (other[2] - point[2]))
-                if point[2] < nearest
-                else 0.0
-            )
-            inside = point + t * (other - point)
+            is_too_near, along = point[2] < nearest, other - point
+            inside = point + (nearest - point[2]) / along[2] * along if is_too_near else point
             ends.append([int(v) for v in np.rint(16.0 * inside[:2] / inside[2])])
         cv2.line(image, ends[0], ends[1], _TAPE, thickness, cv2.LINE_AA, 4)
 

@@ -27,13 +27,7 @@ class Limits:
 class Trajectory:
     """A point that moves to a target: what the position control is fed with."""
 
-    def __init__(self) -> None:
-        self.position = [0.0, 0.0, 0.0]
-        self.velocity = [0.0, 0.0, 0.0]
-        self.acceleration = [0.0, 0.0, 0.0]
-
-    def start(self, position: list[float], velocity: list[float]) -> None:
-        """Begin at a position and velocity."""
+    def __init__(self, position: list[float], velocity: list[float]) -> None:
         self.position = list(position)
         self.velocity = list(velocity)
         self.acceleration = [0.0, 0.0, 0.0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Self
 
@@ -108,17 +109,14 @@ class TruthFile:
         self.path = path
 
     def __enter__(self) -> Self:
-        self._file = self.path.open("w", encoding="utf-8") if self.path is not None else None
+        self._file = (self.path or Path(os.devnull)).open("w", encoding="utf-8")
         return self
 
     def __exit__(self, *exc: object) -> None:
-        if self._file is not None:
-            self._file.close()
+        self._file.close()
 
     def write(self, scene: Scene) -> None:
         """Append one scene."""
-        if self._file is None:
-            return
         frame, pose = scene.frame, scene.pose
         line = {
             "time_s": scene.time_s,

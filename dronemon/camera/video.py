@@ -124,28 +124,22 @@ class _Reader(threading.Thread):
         """Deliver every picture as it comes, and a CameraError at the end."""
         with suppress(RuntimeError):  # the event loop is closed: nobody listens any more
             video = self._open()
-            if not video.isOpened():
-                self._deliver(
-                    CameraError(
-                        f"the video {self._source!r} could not be opened within "
-                        f"{self._timeout_ms / 1000.0:g} s; is the address right and the camera on?"
-                    )
-                )
-                return
+            limit = f"{self._timeout_ms / 1000.0:g} s"
+            problem = f"could not be opened within {limit}; is the address right and the camera on?"
             try:
-                self._read(video)
+                if video.isOpened():
+                    self._read(video)
+                    problem = f"ended or was silent for {limit}; is the camera still on?"
+                if not self.is_stopping.is_set():
+                    self._deliver(CameraError(f"the video {self._source!r} {problem}"))
             finally:
                 video.release()
 
     def _open(self) -> cv2.VideoCapture:
         if isinstance(self._source, int):
             return cv2.VideoCapture(self._source)
-        limits = [
-            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
-            self._timeout_ms,
-            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-            self._timeout_ms,
-        ]
+        timeouts = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
+        limits = [number for timeout in timeouts for number in (timeout, self._timeout_ms)]
         return cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, limits)
 
     def _read(self, video: cv2.VideoCapture) -> None:
@@ -154,11 +148,5 @@ class _Reader(threading.Thread):
         while not self.is_stopping.wait(pause_s):
             is_read, image = video.read()
             if not is_read:
-                self._deliver(
-                    CameraError(
-                        f"the video {self._source!r} ended or was silent for "
-                        f"{self._timeout_ms / 1000.0:g} s; is the camera still on?"
-                    )
-                )
                 return
             self._deliver(Picture(time_s=self._stamp_s(), image=np.asarray(image, np.uint8)))

@@ -13,7 +13,7 @@ import json
 import logging
 import math
 from collections.abc import Awaitable, Callable
-from types import TracebackType
+from typing import Any
 
 import mavsdk
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, MavsdkConnectionError, MavsdkError
@@ -43,10 +43,7 @@ _WANTED_HZ = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
 }
-_ASKED_FOR = (
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
-)
+_ASKED_FOR = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 _ATTEMPTS = 3
 _OTHER_PARAMS = tuple(f"param{i}" for i in range(3, 8))
 _STREAM_BEFORE_OFFBOARD_S = 0.5
@@ -88,17 +85,12 @@ class MavsdkLink:
             raise
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *exc: Any) -> None:
         for reader in self._readers:
             reader.cancel()
         # A reader that fails cancels the body: only then has its group something to say.
-        if isinstance(exc, asyncio.CancelledError):
-            await self._exit.__aexit__(exc_type, exc, traceback)
+        if isinstance(exc[1], asyncio.CancelledError):
+            await self._exit.__aexit__(*exc)
         else:
             await self._exit.aclose()
 

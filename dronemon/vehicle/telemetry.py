@@ -61,7 +61,9 @@ class Telemetry:
             "HEARTBEAT": self._on_heartbeat,
             "ATTITUDE": self._on_attitude,
             "LOCAL_POSITION_NED": self._on_local_position,
-            "EXTENDED_SYS_STATE": self._on_extended_state,
+            "EXTENDED_SYS_STATE": lambda fields: self._update(
+                landed=_LANDED[fields["landed_state"]]
+            ),
             "SYS_STATUS": self._on_sys_status,
             "ESTIMATOR_STATUS": self._on_estimator_status,
             "HOME_POSITION": lambda fields: self._update(home=_geo_point(fields)),
@@ -169,9 +171,6 @@ class Telemetry:
                 attitude_rad=(fields["roll"], fields["pitch"], fields["yaw"]),
             )
         )
-
-    def _on_extended_state(self, fields: dict[str, Any]) -> None:
-        self._update(landed=_LANDED[fields["landed_state"]])
 
     def _on_sys_status(self, fields: dict[str, Any]) -> None:
         remaining = fields["battery_remaining"]

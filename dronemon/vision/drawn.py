@@ -237,12 +237,8 @@ def _square_from(corners_px: FloatArray) -> FloatArray:
     corners_px: (4, 2) u, v
     """
     patch_px = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * _PATCH_PX
-    return np.asarray(
-        cv2.getPerspectiveTransform(
-            (corners_px - 0.5).astype(np.float32), (patch_px - 0.5).astype(np.float32)
-        ),
-        np.float64,
-    )
+    image, patch = ((corners - 0.5).astype(np.float32) for corners in (corners_px, patch_px))
+    return np.asarray(cv2.getPerspectiveTransform(image, patch), np.float64)
 
 
 def _apply(homography: FloatArray, point_px: FloatArray) -> FloatArray:

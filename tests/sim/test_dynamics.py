@@ -119,8 +119,7 @@ def test_ground_carries_a_body_without_thrust() -> None:
 
 
 def test_trajectory_respects_its_limits_and_arrives() -> None:
-    trajectory = Trajectory()
-    trajectory.start([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    trajectory = Trajectory([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
     before = 0.0
     for _ in range(3000):
         trajectory.step((60.0, 30.0, -20.0), LIMITS, STEP_S)
@@ -136,8 +135,7 @@ def test_trajectory_respects_its_limits_and_arrives() -> None:
 def test_stopping_point_is_where_the_trajectory_stops_without_turning_back() -> None:
     velocity = [5.0, 0.0, 0.0]
     target = stopping_point([0.0, 0.0, 0.0], velocity, LIMITS)
-    trajectory = Trajectory()
-    trajectory.start([0.0, 0.0, 0.0], velocity)
+    trajectory = Trajectory([0.0, 0.0, 0.0], velocity)
     for _ in range(1000):
         trajectory.step(target, LIMITS, STEP_S)
         assert trajectory.position[0] < target[0] + 1.0
