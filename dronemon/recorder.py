@@ -60,8 +60,11 @@ class RunRecorder:
     way home is not interrupted by later ones, which are counted in `lost_lines`.
     """
 
-    def __init__(self, folder: RunFolder, names: Sequence[str], started: str) -> None:
+    def __init__(
+        self, folder: RunFolder, names: Sequence[str], started: str, *, is_new: bool
+    ) -> None:
         self.folder = folder
+        self._is_new = is_new
         self.lost_lines = 0
         self._names = tuple(names)
         self._started = started
@@ -87,12 +90,13 @@ class RunRecorder:
         Raises RecordError: `out` holds a run already, the folder cannot be written, or its disk has
         less than `needed_bytes` free.
         """
-        now = _now()
+        now, is_new = _now(), out is None or not out.exists()
         try:
             path = _new_folder(root, mission_name, now) if out is None else _chosen_folder(out)
             _check_space(path, needed_bytes)
             _write_new(path / MISSION_FILE, mission_text)
-            recorder = cls(RunFolder(path=path), target_names, now.isoformat(timespec="seconds"))
+            started = now.isoformat(timespec="seconds")
+            recorder = cls(RunFolder(path=path), target_names, started, is_new=is_new)
             recorder._write_summary({"outcome": IN_FLIGHT})
         except OSError as exc:
             raise RecordError(
@@ -146,13 +150,14 @@ class RunRecorder:
         return all(log.is_empty for log in self._logs.values())
 
     def discard(self) -> None:
-        """Remove a run in which nothing happened, with the folder if nothing else is in it."""
+        """Remove a run in which nothing happened; the folder too if it was made for it alone."""
         self.close()
         for file in self.folder.path.iterdir():
             if file.name in RUN_FILES + OTHER_FILES:
                 file.unlink()
-        with contextlib.suppress(OSError):  # something else is in it
-            self.folder.path.rmdir()
+        if self._is_new:
+            with contextlib.suppress(OSError):  # something else is in it
+                self.folder.path.rmdir()
 
     def finish(self, outcome: str, summary: Mapping[str, object]) -> None:
         """Write the final summary, with size and SHA-256 of every file; close flight.rrd first.

@@ -222,6 +222,17 @@ def test_a_run_in_which_nothing_happened_is_removed(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_folder_that_a_person_made_is_kept_empty(tmp_path: Path) -> None:
+    out = tmp_path / "mine"
+    out.mkdir()
+    with create(tmp_path, out=out) as run:
+        run.discard()
+    assert list(out.iterdir()) == []
+    with create(tmp_path, out=tmp_path / "new") as run:
+        run.discard()
+    assert not (tmp_path / "new").exists()
+
+
 def test_what_is_not_the_runs_is_kept(tmp_path: Path) -> None:
     with create(tmp_path) as run:
         (run.folder.path / "truth.jsonl").touch()

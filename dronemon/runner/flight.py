@@ -20,6 +20,8 @@ from dronemon.runner.supervisor import Supervisor
 from dronemon.runner.tally import Tally
 
 _GROUND_POSES = 20
+_LAST_LOOK_LIMIT_S = 10.0
+"""Wall time for what was taken at the horizon to be looked at."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,15 +70,15 @@ class _Flight:
     async def run(self) -> FlightResult:
         supervisor = self._supervisor
         async with contextlib.AsyncExitStack() as self._exit:  # closes the camera
-            try:
-                if await supervisor.carry_out(
-                    State.PREPARING, self._prepare
-                ) and await supervisor.carry_out(State.LAUNCHING, self._launch):
-                    assert self._patrol is not None
-                    while await supervisor.carry_out(State.PATROLLING, self._patrol.run):
-                        pass  # the pilot gave control back
-            finally:
-                await supervisor.come_home()
+            async with asyncio.TaskGroup() as self._meanwhile:
+                try:
+                    if await supervisor.carry_out(
+                        State.PREPARING, self._prepare
+                    ) and await supervisor.carry_out(State.LAUNCHING, self._launch):
+                        while await supervisor.carry_out(State.PATROLLING, self._fly_patrol):
+                            pass  # the pilot gave control back
+                finally:
+                    await supervisor.come_home()
             self._events.note("outcome", supervisor.outcome)
         is_landed = not self._link.state.is_armed
         return FlightResult(
@@ -162,6 +164,20 @@ class _Flight:
             self._progress("taking off")
             await self._link.take_off(self._mission.flight.altitude_m)
         self._events.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
+
+    async def _fly_patrol(self) -> None:
+        """Patrol; what was taken at the horizon is looked at on the way home."""
+        assert self._patrol is not None  # it is prepared
+        await self._patrol.run()
+        if self._supervisor.outcome == "completed":
+            self._meanwhile.create_task(self._look_at_the_rest(self._patrol), name="rest")
+
+    async def _look_at_the_rest(self, patrol: Patrol) -> None:
+        try:
+            async with asyncio.timeout(_LAST_LOOK_LIMIT_S):
+                await patrol.look_at_the_rest()
+        except Exception as exc:  # noqa: BLE001 - nothing may disturb the way home
+            self._events.note("failure", f"the last picture was lost: {exc!r}", level="WARN")
 
     # Telling
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections import deque
 from collections.abc import Sequence
 from functools import partial
 
@@ -36,8 +37,6 @@ from dronemon.viz import belief_grid_au
 
 SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
-LAST_PICTURE_LIMIT_S = 4.0
-"""Vehicle time after the horizon for the last picture to be looked at."""
 _MAX_PENDING = 4
 
 
@@ -71,7 +70,7 @@ class Patrol:
         self._node: int | None = 0
         self._last_pose: Pose | None = None
         self._last_setpoint_s = -math.inf
-        self._horizon_s: float | None = None
+        self._unseen: deque[Picture] = deque()  # taken and not yet looked at
         self._waiting_since_s: float | None = None
         self._is_waypoint_asked = False
         self._grid_au = belief_grid_au()
@@ -94,7 +93,8 @@ class Patrol:
         self._is_waypoint_asked = False
         self._work: asyncio.Queue[Picture | None] = asyncio.Queue(_MAX_PENDING)
         self._picture_due = asyncio.Event()
-        self._num_unseen = 0  # pictures due and not yet looked at
+        self._is_taking = False
+        self._unseen.clear()
         await self._link.start_offboard(self._setpoint(pose.position_ned_m[:2], (0.0, 0.0)))
         try:
             async with asyncio.TaskGroup() as group:
@@ -119,7 +119,7 @@ class Patrol:
                 self.tally.move(last, pose)
             self._events.emit(Moved(pose=pose))
             advice = self._supervisor.ask(
-                is_horizon_flown=self._is_horizon_flown(pose),
+                is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._waiting_since_s is not None
                 and pose.time_s > self._waiting_since_s + PLANNER_LIMIT_S,
             )
@@ -146,14 +146,14 @@ class Patrol:
             yaw_rad=self._frame.heading_rad,
         )
 
-    def _is_horizon_flown(self, pose: Pose) -> bool:
-        """Whether all is flown and looked at; the last picture is due just there."""
-        if self.tally is None or self.tally.flown_m < self._horizon_m:
-            return False
-        if self._horizon_s is None:
-            self._horizon_s = pose.time_s
-        is_all_seen = self.tally.num_pictures_due >= self._num_pictures and not self._num_unseen
-        return is_all_seen or pose.time_s > self._horizon_s + LAST_PICTURE_LIMIT_S
+    def _is_horizon_flown(self) -> bool:
+        """Whether all is flown and the last picture, which is due just there, is taken."""
+        return (
+            self.tally is not None
+            and self.tally.flown_m >= self._horizon_m
+            and self.tally.num_pictures_due >= self._num_pictures
+            and not (self._picture_due.is_set() or self._is_taking)
+        )
 
     def _ask_for_waypoint(self, pose: Pose) -> None:
         if not self._carrot.needs_waypoint:
@@ -175,7 +175,6 @@ class Patrol:
         ahead_m = 0.5 * SETPOINT_INTERVAL_S * pose.ground_speed_m_s
         if tally.num_pictures_due < self._num_pictures and tally.flown_m + ahead_m >= due_m:
             tally.num_pictures_due += 1
-            self._num_unseen += not self._picture_due.is_set()
             self._picture_due.set()
         tally.cross_track_m.append(self._carrot.cross_track_m(pose.position_ned_m[:2]))
 
@@ -185,7 +184,11 @@ class Patrol:
         while True:
             await self._picture_due.wait()
             self._picture_due.clear()
-            await self._work.put(await self._setup.camera.capture())
+            self._is_taking = True
+            picture = await self._setup.camera.capture()
+            self._is_taking = False
+            self._unseen.append(picture)
+            await self._work.put(picture)
 
     # What is seen, believed and chosen
 
@@ -196,7 +199,11 @@ class Patrol:
                 await self._choose()
             else:
                 await self._look(work)
-                self._num_unseen -= 1
+
+    async def look_at_the_rest(self) -> None:
+        """Look at the pictures that were taken and not yet looked at when the patrol ended."""
+        while self._unseen:
+            await self._look(self._unseen[0])
 
     async def _look(self, picture: Picture) -> None:
         tally = self.tally
@@ -227,6 +234,7 @@ class Patrol:
         for name, is_seen in zip(self._names, measurement.seen, strict=True):
             if is_seen:
                 tally.last_seen_s[name] = picture.time_s
+        self._unseen.popleft()
         self._belief.sightings.add(measurement)
         if self._mission.record.pictures:
             self._events.emit(Pictured(picture=picture, detections=detections, pose=pose))
