@@ -55,20 +55,14 @@ class Progressed(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AreaLaid(Event):
-    """The area lies over the ground."""
-
-    area: AreaFrame
-    footprint_radius_m: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoadmapDrawn(Event):
-    """The roadmap of this flight.
+    """The area lies over the ground, and the roadmap in it.
 
     nodes_au: (V, 2) au places of the nodes
     edges:    (E, 2) int node numbers
     """
 
+    area: AreaFrame
+    footprint_radius_m: float
     nodes_au: FloatArray
     edges: IntArray
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from dronemon.errors import CameraError, DronemonError
-from dronemon.events import AreaLaid, EventStream, Progressed, RoadmapDrawn
+from dronemon.events import AreaLaid, EventStream, Progressed
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import State
 from dronemon.mission.checks import battery_problem
@@ -105,8 +105,14 @@ class _Flight:
             briefing = brief(mission, setup.priors_au, start_au, stream="planner")
             await asyncio.to_thread(setup.planner.reset, briefing, roadmap)
             edges = np.argwhere(roadmap.edge_lengths_au.toarray() > 0)
-            self._events.emit(AreaLaid(area=frame, footprint_radius_m=mission.sensor_radius_m))
-            self._events.emit(RoadmapDrawn(nodes_au=roadmap.nodes_au, edges=edges))
+            self._events.emit(
+                AreaLaid(
+                    area=frame,
+                    footprint_radius_m=mission.sensor_radius_m,
+                    nodes_au=roadmap.nodes_au,
+                    edges=edges,
+                )
+            )
             self._events.note("ready", "the vehicle is ready", frame=asdict(frame))
             self._patrol = Patrol(
                 setup,

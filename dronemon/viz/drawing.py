@@ -5,7 +5,7 @@ What happens before the area is known appears in the log and the time series, bu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
@@ -20,327 +20,219 @@ from dronemon.events import (
     Moved,
     Noted,
     Pictured,
-    RoadmapDrawn,
     TruthTold,
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
-from dronemon.types import (
-    CameraModel,
-    Detection,
-    FloatArray,
-    IntArray,
-    Picture,
-    Pose,
+from dronemon.types import CameraModel, Detection, FloatArray, Pose
+from dronemon.viz.entities import (
+    BLUE,
+    DARK,
+    GREY,
+    SERIES,
+    TIMELINE,
+    WHITE,
+    au_to_map,
+    belief_rgb,
+    dots,
+    grid_transform,
+    lines,
+    ned_to_map,
+    path,
+    rings,
+    target_rgb,
 )
-from dronemon.viz import entities
 
 JPEG_QUALITY = 80
 TRAJECTORY_INTERVAL_S = 0.5
-INFERNO, VIRIDIS = rr.components.Colormap.Inferno, rr.components.Colormap.Viridis
+_SQUARE_AU = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=np.float64)
+_ARROW = np.array([[-0.6, 0.8], [0.0, -1.0], [0.6, 0.8], [0.0, 0.4], [-0.6, 0.8]])
+_COLORMAPS = {"mean": rr.components.Colormap.Inferno, "std": rr.components.Colormap.Viridis}
 
 
 class Drawing:
     """The state of the drawing; not thread-safe."""
 
-    def __init__(self, *, targets: Mapping[str, str], camera: CameraModel) -> None:
+    def __init__(
+        self, rec: rr.RecordingStream, *, targets: Mapping[str, str], camera: CameraModel
+    ) -> None:
+        self._rec = rec
         self._names = tuple(targets)
         self._numbers = {appearance: i for i, appearance in enumerate(targets.values())}
         self._camera = camera
         self._area: AreaFrame | None = None
         self._radius_m = 0.0
-        self._grid_points = 0
+        self._is_grid_laid = False
         self._trail: tuple[float, FloatArray] | None = None
         self._first_s: float | None = None
         self._seen_s: dict[int, float] = {}
         self._seen_au: dict[int, FloatArray] = {}
         self._time_s: float | None = None
-        self._early_events: list[tuple[str, Level]] = []
+        self._early_notes: list[tuple[str, Level]] = []
 
-    def start(self, rec: rr.RecordingStream) -> None:
+    def start(self) -> None:
         """Name and colour the time series."""
         for number, name in enumerate(self._names):
-            style = rr.SeriesLines(colors=entities.target_rgb(number), names=name, widths=2.0)
+            style = rr.SeriesLines(colors=target_rgb(number), names=name, widths=2.0)
             for kind in ("since_seen", "std"):
-                rec.log(entities.path("plots", kind, name), style, static=True)
-        for key, title in entities.SERIES.items():
-            style = rr.SeriesLines(colors=entities.BLUE, names=title, widths=1.5)
-            rec.log(f"plots/{key}", style, static=True)
+                self._rec.log(path("plots", kind, name), style, static=True)
+        for key, title in SERIES.items():
+            style = rr.SeriesLines(colors=BLUE, names=title, widths=1.5)
+            self._rec.log(f"plots/{key}", style, static=True)
 
-    def draw(self, rec: rr.RecordingStream, event: Event) -> None:
+    def draw(self, event: Event) -> None:
         """Draw an event; those of no interest are passed over."""
         match event:
             case Noted():
-                self._note(rec, event.time_s, f"{event.kind}: {event.text}", event.level)
+                self._note(event)
             case AreaLaid():
-                self._lay_area(rec, event.area, event.footprint_radius_m)
-            case RoadmapDrawn():
-                self._roadmap(rec, event.nodes_au, event.edges)
+                self._lay_area(event)
             case Moved():
-                self._move(rec, event.pose)
+                self._move(event.pose)
             case Pictured():
-                self._picture(rec, event.picture, event.detections, event.pose)
+                self._picture(event)
             case Measured():
-                self._measure(rec, event)
-            case Believed():
-                self._beliefs(rec, event.time_s, event.mean, event.std)
+                self._measure(event)
+            case Believed() if self._area is not None:
+                self._beliefs(event, self._area)
             case Decided():
-                self._waypoint(rec, event)
-            case TruthTold():
-                self._truth(rec, event.time_s, event.targets_au)
+                self._waypoint(event)
+            case TruthTold() if self._area is not None:
+                self._truth(event, self._area)
 
-    def _lay_area(self, rec: rr.RecordingStream, area: AreaFrame, radius_m: float) -> None:
-        """Keep the area and draw its border, and the vehicle that is moved over it."""
-        self._area, self._radius_m = area, radius_m
-        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=np.float64)
-        rec.log(
-            "map/area",
-            rr.LineStrips2D(
-                [entities.au_to_map(corners, area)],
-                draw_order=5.0,
-                colors=entities.GREY,
-                radii=rr.Radius.ui_points(1.0),
-            ),
-            static=True,
-        )
-        nose_m = 0.035 * area.side_m
-        rec.log(
-            "map/vehicle/footprint",
-            rr.Ellipses2D(
-                half_sizes=[[radius_m, radius_m]],
-                draw_order=30.0,
-                colors=entities.WHITE,
-                line_radii=rr.Radius.ui_points(1.0),
-            ),
-            static=True,
-        )
-        rec.log(
-            "map/vehicle/nose",
-            rr.LineStrips2D(
-                [
-                    np.array([[-0.6, 0.8], [0.0, -1.0], [0.6, 0.8], [0.0, 0.4], [-0.6, 0.8]])
-                    * nose_m
-                ],
-                draw_order=40.0,
-                colors=entities.WHITE,
-                radii=rr.Radius.ui_points(1.5),
-            ),
-            static=True,
-        )
-
-    def _roadmap(self, rec: rr.RecordingStream, nodes_au: FloatArray, edges: IntArray) -> None:
-        """Draw each edge once, whatever its direction."""
-        if self._area is None:
-            return
-        nodes = entities.au_to_map(nodes_au, self._area)
-        pairs = np.unique(np.sort(edges, axis=1), axis=0)
+    def _lay_area(self, event: AreaLaid) -> None:
+        """Keep the area; draw border, roadmap, and the vehicle that is moved over them."""
+        log, area = self._rec.log, event.area
+        self._area, self._radius_m = area, event.footprint_radius_m
+        log("map/area", lines([au_to_map(_SQUARE_AU, area)], GREY, 1.0, order=5), static=True)
+        footprint = rings(None, self._radius_m, WHITE, 1.0, order=30)
+        log("map/vehicle/footprint", footprint, static=True)
+        nose = _ARROW * 0.035 * area.side_m
+        log("map/vehicle/nose", lines([nose], WHITE, 1.5, order=40), static=True)
+        nodes = au_to_map(event.nodes_au, area)
+        pairs = np.unique(np.sort(event.edges, axis=1), axis=0)  # once, whatever the direction
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-        rec.log(
-            "map/roadmap/edges",
-            rr.LineStrips2D(
-                nodes[pairs], colors=entities.DARK, draw_order=10.0, radii=rr.Radius.ui_points(0.5)
-            ),
-            static=True,
-        )
-        rec.log(
-            "map/roadmap/nodes",
-            rr.Points2D(
-                nodes, colors=entities.DARK, draw_order=10.0, radii=rr.Radius.ui_points(1.5)
-            ),
-            static=True,
-        )
+        log("map/roadmap/edges", lines(nodes[pairs], DARK, 0.5, order=10), static=True)
+        log("map/roadmap/nodes", dots(nodes, DARK, 1.5, order=10), static=True)
 
-    def _move(self, rec: rr.RecordingStream, pose: Pose) -> None:
+    def _move(self, pose: Pose) -> None:
         """Move the vehicle, extend its trajectory and the series of speed and height."""
-        self._set_time(rec, pose.time_s)
-        rec.log("plots/ground_speed_m_s", rr.Scalars(pose.ground_speed_m_s))
+        self._series(pose.time_s, ground_speed_m_s=pose.ground_speed_m_s)
         if self._area is None:
             return
-        height_m = self._area.height_m(pose.position_ned_m[2])
-        rec.log("plots/height_m", rr.Scalars(height_m))
-        position = entities.ned_to_map(np.array(pose.position_ned_m), self._area)
+        self._series(pose.time_s, height_m=self._area.height_m(pose.position_ned_m[2]))
+        position = ned_to_map(np.array(pose.position_ned_m), self._area)
         turn = rr.RotationAxisAngle(axis=[0, 0, 1], radians=pose.attitude_rad[2])
-        rec.log("map/vehicle", rr.Transform3D(translation=[*position, 0.0], rotation=turn))
-        self._trajectory(rec, pose.time_s, position)
+        self._rec.log("map/vehicle", rr.Transform3D(translation=[*position, 0.0], rotation=turn))
+        if self._trail is None or pose.time_s < self._trail[0]:
+            self._trail = (pose.time_s, position)
+        elif pose.time_s - self._trail[0] >= TRAJECTORY_INTERVAL_S:
+            leg = [[self._trail[1], position]]
+            self._rec.log("map/trajectory", lines(leg, GREY, 0.8, order=20))
+            self._trail = (pose.time_s, position)
 
-    def _trajectory(self, rec: rr.RecordingStream, time_s: float, position: FloatArray) -> None:
-        if self._trail is None or time_s < self._trail[0]:
-            self._trail = (time_s, position)
-        elif time_s - self._trail[0] >= TRAJECTORY_INTERVAL_S:
-            rec.log(
-                "map/trajectory",
-                rr.LineStrips2D(
-                    [[self._trail[1], position]],
-                    draw_order=20.0,
-                    colors=entities.GREY,
-                    radii=rr.Radius.ui_points(0.8),
-                ),
-            )
-            self._trail = (time_s, position)
-
-    def _picture(
-        self,
-        rec: rr.RecordingStream,
-        picture: Picture,
-        detections: Sequence[Detection],
-        pose: Pose,
-    ) -> None:
+    def _picture(self, event: Pictured) -> None:
         """Show picture, detections and the footprint's edge."""
-        self._set_time(rec, picture.time_s)
-        rec.log("camera", rr.Image(picture.image, color_model="BGR").compress(JPEG_QUALITY))
-        rec.log(
-            "camera/detections",
-            rr.Points2D(
-                [found.pixel_px for found in detections],
-                colors=[self._detection_rgb(found) for found in detections],
-                labels=[self._detection_label(found) for found in detections],
-                radii=rr.Radius.ui_points(5.0),
-                show_labels=True,
-            ),
-        )
+        picture, found = event.picture, event.detections
+        self._set_time(picture.time_s)
+        self._rec.log("camera", rr.Image(picture.image, color_model="BGR").compress(JPEG_QUALITY))
+        colors = [self._detection_rgb(detection) for detection in found]
+        labels = [self._detection_label(detection) for detection in found]
+        marks = dots([detection.pixel_px for detection in found], colors, 5.0, labels=labels)
+        self._rec.log("camera/detections", marks)
         if self._area is not None:
             angle = np.linspace(0.0, 2.0 * np.pi, 61)
             ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * self._radius_m
-            edge_px = ground_to_pixel(
-                ring + pose.position_ned_m[:2], self._camera, pose, self._area.ground_down_m
-            )
-            rec.log(
-                "camera/footprint",
-                rr.LineStrips2D(
-                    [edge_px[np.isfinite(edge_px).all(axis=-1)]],
-                    colors=entities.WHITE,
-                    radii=rr.Radius.ui_points(1.0),
-                ),
-            )
+            edge = ring + event.pose.position_ned_m[:2]
+            edge_px = ground_to_pixel(edge, self._camera, event.pose, self._area.ground_down_m)
+            edge_px = edge_px[np.isfinite(edge_px).all(axis=-1)]
+            self._rec.log("camera/footprint", lines([edge_px], WHITE, 1.0))
 
     def _detection_rgb(self, found: Detection) -> tuple[int, int, int]:
         number = self._numbers.get(found.appearance)
-        return entities.GREY if number is None else entities.target_rgb(number)
+        return GREY if number is None else target_rgb(number)
 
     def _detection_label(self, found: Detection) -> str:
         number = self._numbers.get(found.appearance)
         name = found.appearance if number is None else self._names[number]
         return f"{name} {found.score:.2f}"
 
-    def _measure(self, rec: rr.RecordingStream, event: Measured) -> None:
+    def _measure(self, event: Measured) -> None:
         """Mark what was seen; extend the series of times since, battery and cross-track error."""
         time_s, measurement = event.time_s, event.measurement
-        self._series(rec, time_s, battery=event.battery, cross_track_m=event.cross_track_m)
+        self._series(time_s, battery=event.battery, cross_track_m=event.cross_track_m)
         if self._first_s is None:
             self._first_s = time_s
         for number, name in enumerate(self._names):
             if measurement.seen[number]:
                 self._seen_s[number] = time_s
                 self._seen_au[number] = measurement.target_au[number]
-                self._mark_seen(rec, number, name)
+                self._mark_seen(number, name)
             since_s = time_s - self._seen_s.get(number, self._first_s)
-            rec.log(entities.path("plots", "since_seen", name), rr.Scalars(since_s))
+            self._rec.log(path("plots", "since_seen", name), rr.Scalars(since_s))
 
-    def _mark_seen(self, rec: rr.RecordingStream, number: int, name: str) -> None:
-        if self._area is None:
-            return
-        rec.log(
-            entities.path("map", "seen", name),
-            rr.Points2D(
-                [entities.au_to_map(self._seen_au[number], self._area)],
-                draw_order=60.0,
-                colors=entities.target_rgb(number),
-                radii=rr.Radius.ui_points(5.0),
-                labels=[name],
-                show_labels=True,
-            ),
-        )
+    def _mark_seen(self, number: int, name: str) -> None:
+        if self._area is not None:
+            place = [au_to_map(self._seen_au[number], self._area)]
+            mark = dots(place, target_rgb(number), 5.0, order=60, labels=[name])
+            self._rec.log(path("map", "seen", name), mark)
 
-    def _beliefs(
-        self, rec: rr.RecordingStream, time_s: float, mean: FloatArray, std: FloatArray
-    ) -> None:
+    def _beliefs(self, event: Believed, area: AreaFrame) -> None:
         """Show the posteriors of all targets together and one by one."""
-        if self._area is None:
-            return
-        self._set_time(rec, time_s)
-        self._lay_grids(rec, mean.shape[-1])
-        rec.log(
-            "map/belief", rr.Image(entities.belief_rgb(mean, std), magnification_filter="linear")
-        )
+        log, mean, std = self._rec.log, event.mean, event.std
+        self._set_time(event.time_s)
+        num_points = std.shape[-1]
+        if not self._is_grid_laid:
+            self._is_grid_laid = True
+            each = [path("map", kind, name) for kind in _COLORMAPS for name in self._names]
+            for entity in ("map/belief", *each):
+                log(entity, grid_transform(area, num_points), static=True)
+        log("map/belief", rr.Image(belief_rgb(mean, std), magnification_filter="linear"))
         for number, name in enumerate(self._names):
-            for kind, values, colormap in (("mean", mean, INFERNO), ("std", std, VIRIDIS)):
-                rec.log(
-                    entities.path("map", kind, name),
-                    rr.DepthImage(
-                        values[number].astype(np.float16),
-                        depth_range=(0.0, 1.0),
-                        colormap=colormap,
-                        magnification_filter="linear",
-                    ),
+            for kind, values in (("mean", mean), ("std", std)):
+                image = rr.DepthImage(
+                    values[number].astype(np.float16),
+                    depth_range=(0.0, 1.0),
+                    colormap=_COLORMAPS[kind],
+                    magnification_filter="linear",
                 )
+                log(path("map", kind, name), image)
             if number in self._seen_au:
-                x, y = np.rint(self._seen_au[number] * (std.shape[-1] - 1)).astype(int)
-                rec.log(
-                    entities.path("plots", "std", name),
-                    rr.Scalars(std[number, y, x]),
-                )
+                x, y = np.rint(self._seen_au[number] * (num_points - 1)).astype(int)
+                log(path("plots", "std", name), rr.Scalars(std[number, y, x]))
 
-    def _lay_grids(self, rec: rr.RecordingStream, num_points: int) -> None:
-        if self._area is None or num_points == self._grid_points:
-            return
-        self._grid_points = num_points
-        transform = entities.grid_transform(self._area, num_points)
-        kinds = [
-            entities.path("map", kind, name) for kind in ("mean", "std") for name in self._names
-        ]
-        for entity in ("map/belief", *kinds):
-            rec.log(entity, transform, static=True)
-
-    def _waypoint(self, rec: rr.RecordingStream, event: Decided) -> None:
+    def _waypoint(self, event: Decided) -> None:
         """Draw the leg; extend the series of decision times."""
-        self._series(rec, event.time_s, decision_ms=event.decision_ms)
-        if self._area is None:
-            return
-        leg = entities.au_to_map(np.stack([event.position_au, event.waypoint_au]), self._area)
-        rec.log(
-            "map/waypoint",
-            rr.LineStrips2D(
-                [leg], draw_order=25.0, colors=entities.WHITE, radii=rr.Radius.ui_points(1.5)
-            ),
-            rr.Points2D(leg[1:], colors=entities.WHITE, radii=rr.Radius.ui_points(4.0)),
-        )
+        self._series(event.time_s, decision_ms=event.decision_ms)
+        if self._area is not None:
+            leg = au_to_map(np.stack([event.position_au, event.waypoint_au]), self._area)
+            end = dots(leg[1:], WHITE, 4.0)
+            self._rec.log("map/waypoint", lines([leg], WHITE, 1.5, order=25), end)
 
-    def _truth(self, rec: rr.RecordingStream, time_s: float, position_au: FloatArray) -> None:
+    def _truth(self, event: TruthTold, area: AreaFrame) -> None:
         """Draw a ring around each target."""
-        if self._area is None:
-            return
-        self._set_time(rec, time_s)
-        ring_m = 0.022 * self._area.side_m
+        self._set_time(event.time_s)
         for number, name in enumerate(self._names):
-            rec.log(
-                entities.path("map", "truth", name),
-                rr.Ellipses2D(
-                    centers=[entities.au_to_map(position_au[number], self._area)],
-                    half_sizes=[[ring_m, ring_m]],
-                    draw_order=50.0,
-                    colors=entities.target_rgb(number),
-                    line_radii=rr.Radius.ui_points(1.5),
-                ),
-            )
+            centre = [au_to_map(event.targets_au[number], area)]
+            ring = rings(centre, 0.022 * area.side_m, target_rgb(number), 1.5, order=50)
+            self._rec.log(path("map", "truth", name), ring)
 
-    def _note(self, rec: rr.RecordingStream, time_s: float | None, text: str, level: Level) -> None:
+    def _note(self, event: Noted) -> None:
         """Add a line to the log, once a vehicle time is known."""
+        self._early_notes.append((f"{event.kind}: {event.text}", event.level))
+        time_s = self._time_s if event.time_s is None else event.time_s
         if time_s is not None:
-            self._set_time(rec, time_s)
-        if self._time_s is None:
-            self._early_events.append((text, level))
-        else:
-            rec.log("events", rr.TextLog(text, level=level))
+            self._set_time(time_s)
 
-    def _series(self, rec: rr.RecordingStream, time_s: float, **values: float | None) -> None:
+    def _series(self, time_s: float, **values: float | None) -> None:
         """Extend the time series whose value is known."""
-        self._set_time(rec, time_s)
+        self._set_time(time_s)
         for key, value in values.items():
             if value is not None:
-                rec.log(f"plots/{key}", rr.Scalars(value))
+                self._rec.log(f"plots/{key}", rr.Scalars(value))
 
-    def _set_time(self, rec: rr.RecordingStream, time_s: float) -> None:
-        rec.set_time(entities.TIMELINE, duration=time_s)
+    def _set_time(self, time_s: float) -> None:
+        self._rec.set_time(TIMELINE, duration=time_s)
         self._time_s = time_s
-        for text, level in self._early_events:
-            rec.log("events", rr.TextLog(text, level=level))
-        self._early_events.clear()
+        for text, level in self._early_notes:
+            self._rec.log("events", rr.TextLog(text, level=level))
+        self._early_notes.clear()

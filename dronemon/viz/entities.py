@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -34,6 +35,7 @@ SERIES = {
     "decision_ms": "Decision time (ms)",
 }
 """Time series about the vehicle and their titles."""
+Rgb = tuple[int, int, int]
 WHITE = (240, 244, 250)
 GREY = (150, 160, 178)
 DARK = (62, 70, 84)
@@ -52,7 +54,7 @@ TARGET_RGB = (
 )
 
 
-def target_rgb(index: int) -> tuple[int, int, int]:
+def target_rgb(index: int) -> Rgb:
     """Colour of the target with this number."""
     return TARGET_RGB[index % len(TARGET_RGB)]
 
@@ -60,6 +62,43 @@ def target_rgb(index: int) -> tuple[int, int, int]:
 def path(*parts: str) -> str:
     """Entity path of these parts, whatever characters a target's name has."""
     return rr.new_entity_path(list(parts))
+
+
+def lines(
+    strips: Any, rgb: Rgb | list[Rgb], width: float, *, order: float | None = None
+) -> rr.LineStrips2D:
+    """Lines of this width on the screen; a higher order covers a lower one."""
+    return rr.LineStrips2D(strips, colors=rgb, radii=rr.Radius.ui_points(width), draw_order=order)
+
+
+def dots(
+    places: Any,
+    rgb: Rgb | list[Rgb],
+    width: float,
+    *,
+    order: float | None = None,
+    labels: Sequence[str] | None = None,
+) -> rr.Points2D:
+    """Dots of this radius on the screen, with labels if given."""
+    return rr.Points2D(
+        places,
+        colors=rgb,
+        radii=rr.Radius.ui_points(width),
+        draw_order=order,
+        labels=labels,
+        show_labels=None if labels is None else True,
+    )
+
+
+def rings(centres: Any, radius_m: float, rgb: Rgb, width: float, *, order: float) -> rr.Ellipses2D:
+    """Circles about each centre, about the origin without one."""
+    return rr.Ellipses2D(
+        centers=centres,
+        half_sizes=[[radius_m, radius_m]],
+        colors=rgb,
+        line_radii=rr.Radius.ui_points(width),
+        draw_order=order,
+    )
 
 
 def belief_grid_au(num_points: int = 40) -> FloatArray:

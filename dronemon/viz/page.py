@@ -13,12 +13,12 @@ import signal
 import socket
 import subprocess
 import threading
-from collections import deque
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import quote
 
 from dronemon.errors import ViewError
+from dronemon.viz.queue import BoundedQueue
 
 LOOPBACK = "127.0.0.1"
 PAGE_PORT = 9090
@@ -41,32 +41,20 @@ class LivePage:
         source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
         self.url = f"http://{LOOPBACK}:{page_port}/?theme=dark&url={source}"
         self.error: str | None = None
-        self._waiting: deque[bytes] = deque()
-        self._waiting_bytes = 0
-        self._is_closing = False
-        self._changed = threading.Condition()
+        self._waiting = BoundedQueue[bytes](max_bytes=MAX_WAITING_BYTES)
         self._process = _serve(data_port, page_port)
         self._thread = threading.Thread(target=self._write, name="viz-page", daemon=True)
         self._thread.start()
 
     def feed(self, data: bytes) -> None:
         """Pass on more of the recording; never waits. A page that falls far behind is given up."""
-        with self._changed:
-            if self.error is not None:
-                return
-            if self._waiting_bytes + len(data) > MAX_WAITING_BYTES:
-                self.error = "the live page stopped: its browser does not keep up"
-                self._waiting.clear()
-            else:
-                self._waiting.append(data)
-                self._waiting_bytes += len(data)
-            self._changed.notify()
+        if self.error is None and not self._waiting.put(data, len(data)):
+            self.error = "the live page stopped: its browser does not keep up"
+            self._waiting.close(0.0)
 
     def close(self, timeout_s: float = 3.0) -> None:
         """Give the page what is still waiting, then end its process."""
-        with self._changed:
-            self._is_closing = True
-            self._changed.notify()
+        self._waiting.close(timeout_s)
         self._thread.join(timeout_s)
         if self._thread.is_alive():
             self._kill()
@@ -84,21 +72,10 @@ class LivePage:
     def _write(self) -> None:
         assert self._process.stdin is not None
         with contextlib.suppress(OSError), self._process.stdin as stdin:
-            while (data := self._next()) is not None:
+            for data in self._waiting:
                 stdin.write(data)
             return
-        with self._changed:
-            self.error = self.error or "the live page stopped: its process ended"
-
-    def _next(self) -> bytes | None:
-        with self._changed:
-            while not self._waiting and not self._is_closing and self.error is None:
-                self._changed.wait()
-            if not self._waiting:
-                return None
-            data = self._waiting.popleft()
-            self._waiting_bytes -= len(data)
-            return data
+        self.error = self.error or "the live page stopped: its process ended"
 
 
 def _serve(data_port: int, page_port: int) -> subprocess.Popen[bytes]:

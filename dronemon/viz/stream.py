@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 import uuid
-from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 import rerun as rr
@@ -25,6 +22,7 @@ from dronemon.viz import entities
 from dronemon.viz.drawing import Drawing
 from dronemon.viz.file import RecordingFile
 from dronemon.viz.page import LivePage
+from dronemon.viz.queue import BoundedQueue
 
 POSE_INTERVAL_S = 0.2
 FLUSH_S, LIVE_FLUSH_S = 2.0, 0.5
@@ -57,10 +55,12 @@ class FlightView:
         self._rrd_path = rrd_path
         self._file: RecordingFile | None = None
         self._title = title
-        self._drawing = Drawing(targets=targets, camera=camera)
+        self._targets, self._camera = targets, camera
         self._blueprint = entities.blueprint(list(targets), side_m, heading_rad)
         self._port = port if live else None
-        self._queue = _BoundedQueue(max_events=max_events, max_bytes=max_bytes)
+        self._queue = BoundedQueue[Event](max_items=max_events, max_bytes=max_bytes)
+        self._num_failed = 0
+        self._failure: str | None = None
         self._page: LivePage | None = None
         self._worker: threading.Thread | None = None
         self._pose_due_s = -np.inf
@@ -73,13 +73,13 @@ class FlightView:
     @property
     def dropped(self) -> int:
         """Number of events that were not recorded."""
-        return self._queue.dropped
+        return self._queue.dropped + self._num_failed
 
     @property
     def error(self) -> str | None:
         """What went wrong, if anything did: recording or page then lack something."""
-        parts = (self._file, self._queue, self._page)
-        return next((part.error for part in parts if part is not None and part.error), None)
+        file, page = self._file, self._page
+        return (file and file.error) or self._failure or (page and page.error) or None
 
     def __enter__(self) -> FlightView:
         """Open the file and, live, the page. Raises ViewError if one of them cannot be."""
@@ -100,18 +100,14 @@ class FlightView:
         recording.set_sinks(self._file.sink(), default_blueprint=self._blueprint)
         self._file.handed_over()
         recording.send_recording_name(self._title)
+        self._drawing = Drawing(recording, targets=self._targets, camera=self._camera)
         self._worker = threading.Thread(
-            target=self._queue.work, args=(recording, self._drawing), name="viz", daemon=True
+            target=self._work, args=(recording,), name="viz", daemon=True
         )
         self._worker.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self, timeout_s: float = 10.0) -> None:
@@ -140,65 +136,14 @@ class FlightView:
                 num_bytes = event.mean.nbytes + event.std.nbytes
         self._queue.put(event, num_bytes)
 
-
-class _BoundedQueue:
-    """Events for one worker thread, limited in number and bytes; counts what it turns away."""
-
-    def __init__(self, *, max_events: int, max_bytes: int) -> None:
-        self.dropped = 0
-        self.error: str | None = None
-        self._max_events = max_events
-        self._max_bytes = max_bytes
-        self._events: deque[tuple[Event, int]] = deque()
-        self._waiting_bytes = 0
-        self._deadline_s: float | None = None
-        self._changed = threading.Condition()
-
-    def put(self, event: Event, num_bytes: int = 0) -> None:
-        """Add an event, or drop and count it if the queue is full or closed."""
-        with self._changed:
-            if (
-                self._deadline_s is not None
-                or len(self._events) >= self._max_events
-                or self._waiting_bytes + num_bytes > self._max_bytes
-            ):
-                self.dropped += 1
-                return
-            self._events.append((event, num_bytes))
-            self._waiting_bytes += num_bytes
-            self._changed.notify()
-
-    def close(self, timeout_s: float) -> None:
-        """Let the worker end, at the latest after this time with the event it is at."""
-        with self._changed:
-            self._deadline_s = time.monotonic() + timeout_s
-            self._changed.notify()
-
-    def work(self, rec: rr.RecordingStream, drawing: Drawing) -> None:
+    def _work(self, recording: rr.RecordingStream) -> None:
         """Draw events until closed, then finish the recording; the worker thread's body."""
         rr.set_strict_mode(True)  # errors are raised rather than printed
-        drawing.start(rec)
-        while (event := self._next()) is not None:
+        self._drawing.start()
+        for event in self._queue:
             try:
-                drawing.draw(rec, event)
+                self._drawing.draw(event)
             except Exception as exc:  # noqa: BLE001  no value may end the recording
-                self._count_failure(f"{type(exc).__name__}: {exc}")
-        rec.disconnect()
-
-    def _next(self) -> Event | None:
-        with self._changed:
-            while not self._events and self._deadline_s is None:
-                self._changed.wait()
-            is_late = self._deadline_s is not None and time.monotonic() > self._deadline_s
-            if self._events and not is_late:
-                event, num_bytes = self._events.popleft()
-                self._waiting_bytes -= num_bytes
-                return event
-            self.dropped += len(self._events)
-            self._events.clear()
-            return None
-
-    def _count_failure(self, reason: str) -> None:
-        with self._changed:
-            self.dropped += 1
-            self.error = self.error or reason
+                self._num_failed += 1
+                self._failure = self._failure or f"{type(exc).__name__}: {exc}"
+        recording.disconnect()

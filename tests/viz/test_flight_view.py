@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-import rerun as rr
 from rerun.chunk import RrdReader
 
 from dronemon.errors import ViewError
@@ -28,7 +27,6 @@ from dronemon.events import (
     Moved,
     Noted,
     Pictured,
-    RoadmapDrawn,
     TruthTold,
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
@@ -78,6 +76,12 @@ def measurement(seen: list[bool]) -> Measurement:
     )
 
 
+def area_laid() -> AreaLaid:
+    rng = np.random.default_rng(1)
+    nodes_au, edges = rng.random((20, 2)), rng.integers(0, 20, (60, 2))
+    return AreaLaid(area=AREA, footprint_radius_m=20.0, nodes_au=nodes_au, edges=edges)
+
+
 def noted(time_s: float | None, kind: str, text: str, level: str = "INFO") -> Noted:
     return Noted(time_s=time_s, kind=kind, text=text, level=level, fields={})
 
@@ -108,8 +112,7 @@ def fly(shown: FlightView, num_measurements: int = 3) -> None:
     """Hand over one of everything for each measurement, 4 s of vehicle time apart."""
     rng = np.random.default_rng(10_000)
     shown.take(noted(None, "connect", "vehicle heard"))
-    shown.take(AreaLaid(area=AREA, footprint_radius_m=20.0))
-    shown.take(RoadmapDrawn(nodes_au=rng.random((20, 2)), edges=rng.integers(0, 20, (60, 2))))
+    shown.take(area_laid())
     for number in range(num_measurements):
         time_s = 100.0 + 4.0 * number
         for step in range(40):
@@ -228,7 +231,7 @@ def test_pictures_are_jpeg_and_carry_footprint_and_detections(recording: Path) -
 
 def test_poses_are_thinned_and_a_reboot_restarts_them(tmp_path: Path) -> None:
     with view(tmp_path / "flight.rrd") as shown:
-        shown.take(AreaLaid(area=AREA, footprint_radius_m=20.0))
+        shown.take(area_laid())
         for step in range(100):
             shown.take(Moved(pose=pose(50.0 + 0.01 * step)))
         shown.take(Moved(pose=pose(0.5)))
@@ -244,7 +247,7 @@ def block_worker(shown: FlightView) -> threading.Event:
 
     draw = shown._drawing.draw
 
-    def wait(rec: rr.RecordingStream, event: Event) -> None:
+    def wait(event: Event) -> None:
         started.set()
         go_on.wait(30.0)
         shown._drawing.draw = draw
@@ -293,7 +296,7 @@ def test_closing_has_a_time_limit_and_counts_what_it_leaves(tmp_path: Path) -> N
 
 def test_a_value_that_cannot_be_shown_is_counted_and_the_rest_recorded(tmp_path: Path) -> None:
     with view(tmp_path / "flight.rrd") as shown:
-        shown.take(AreaLaid(area=AREA, footprint_radius_m=20.0))
+        shown.take(area_laid())
         shown.take(TruthTold(time_s=1.0, targets_au=np.zeros((1, 3))))
         shown.take(measured(2.0, [False, False], 0.5))
     assert shown.dropped == 1
