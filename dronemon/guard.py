@@ -56,50 +56,38 @@ class Setback(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why; one for each row of the table."""
+    """Why; whole sentences where a person reads them."""
 
-    READY = "nothing is against it"
-    LAUNCH_FAILED = "the vehicle, or what it is flown with, failed before the patrol"
-    STEP_FAILED = "the vehicle, or what it is flown with, failed on patrol"
-    INTERRUPTED = "a person asked for the return"
-    TAKEN = "the pilot chose a mode"
+    GO_ON = "nothing is against it"
+    TAKEN = "the pilot flies"
+    FAILED = "the vehicle, or what it is flown with, failed"
     DISARMED = "the vehicle disarmed during the patrol; see what it says"
     NO_POSITION = (
         "the vehicle lost its absolute position (GPS?): where it is, and what it sees where, "
         "cannot be trusted; it comes down"
     )
+    INTERRUPTED = "a person asked for the return"
     BATTERY_LOW = "the battery is at its limit"
     HORIZON = "the horizon is flown"
     PLANNER_LATE = "the planner gave no waypoint in time"
-    ON_PATROL = "nothing is against the patrol"
-    TAKEN_RETURNING = "the pilot chose a mode on the way home"
     BROKEN = "the vehicle cannot be commanded any more"
     UNSURE = "it may have armed since the last heartbeat"
     MOTORS_OFF = "the motors are off"
     LOST_FOR_GOOD = "the link did not come back"
-    LOST = "the link is silent; the autopilot flies home by itself meanwhile"
+    LOST = "the link is silent"
     REFUSED_FOR_GOOD = "returning and landing were refused for too long"
+    REFUSED = "what is refused here may go there"
     FAILSAFE_FLIES = "a failsafe flies home or lands"
     FAILSAFE_HOVERS = "a failsafe can do nothing but hover: only down is left"
     LAND_NOW = "a person wants it to land here"
     COMING_DOWN = "it is on its way down"
-    RETURN_REFUSED = "what is refused at home, without GPS say, may go here"
-    LANDING_REFUSED = "what is refused here may go at home"
     ON_GROUND = "it stands on the ground"
     DOWN_HERE = "it lands here"
     HOME = "it returns"
-    PILOT_FAILED = "the vehicle failed while the pilot flew"
     PILOT_LANDED = "the pilot stopped the motors"
     PILOT_KEEPS = "a person ended the program while the pilot flew"
-    PILOT_LOST = "the link did not come back while the pilot flew"
-    PILOT_SILENT = "the link is silent while the pilot flies"
-    GIVEN_BACK_EARLY = "given back before the patrol began: too early to go on"
-    GIVEN_BACK = "given back on patrol"
-    GIVEN_BACK_RETURNING = "given back on the way home"
-    GIVEN_BACK_LANDING = "given back while landing here"
+    GIVEN_BACK = "the pilot chose offboard"
     PILOT_FAILSAFE = "a setpoint would end the failsafe"
-    PILOT_FLIES = "the pilot may give control back"
-    OVER = "the flight is over"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,15 +141,19 @@ class Row:
 
 
 def advise(situation: Situation) -> Advice:
-    """The first row of the situation's state that holds."""
-    row = next(row for row in _ROWS[situation.state] if row.holds(situation))
+    """What the table says; nothing is asked once the flight has ended."""
+    row = deciding_row(situation)
     return Advice(row.after or situation.state, row.action, row.reason)
 
 
-_PREPARING, _LAUNCHING, _PATROLLING = ((state,) for state in MISSION)
+def deciding_row(situation: Situation) -> Row:
+    """The first row of the situation's state that holds."""
+    return next(row for row in _ROWS[situation.state] if row.holds(situation))
+
+
+_, _LAUNCHING, _PATROLLING = ((state,) for state in MISSION)
 _RETURNING, _LANDING, _FAILSAFE = ((state,) for state in HOMEWARD)
-_PILOT, _ENDED = (State.PILOT,), (State.ENDED,)
-_AIRBORNE = _LAUNCHING + _PATROLLING
+_PILOT = (State.PILOT,)
 
 
 def _always(_: Situation) -> bool:
@@ -180,11 +172,9 @@ def _given_back(*before: State) -> Callable[[Situation], bool]:
 TABLE = (
     # The mission, until something ends it.
     # F: one that others fly is armed already, and is taken home when the preparation fails.
-    Row(_AIRBORNE, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
-    Row(_PREPARING + _LAUNCHING, lambda s: s.setback is not Setback.NONE,
-        State.RETURNING, Action.LEAVE, Reason.LAUNCH_FAILED),
-    Row(_PATROLLING, lambda s: s.setback is not Setback.NONE,
-        State.RETURNING, Action.LEAVE, Reason.STEP_FAILED),
+    Row(_LAUNCHING + _PATROLLING, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
+    Row(MISSION, lambda s: s.setback is not Setback.NONE,
+        State.RETURNING, Action.LEAVE, Reason.FAILED),
     Row(_PATROLLING, lambda s: not s.is_armed, State.RETURNING, Action.LEAVE, Reason.DISARMED),
     Row(_PATROLLING, lambda s: not s.is_position_good,
         State.RETURNING, Action.LEAVE, Reason.NO_POSITION),
@@ -194,8 +184,7 @@ TABLE = (
     Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
     Row(_PATROLLING, lambda s: s.is_planner_late,
         State.RETURNING, Action.LEAVE, Reason.PLANNER_LATE),
-    Row(_PREPARING + _LAUNCHING, _always, None, Action.GO_ON, Reason.READY),
-    Row(_PATROLLING, _always, None, Action.GO_ON, Reason.ON_PATROL),
+    Row(MISSION, _always, None, Action.GO_ON, Reason.GO_ON),
 
     # The way home.
     Row(HOMEWARD, _has(Setback.FAILED), State.ENDED, Action.END, Reason.BROKEN),  # F:
@@ -206,7 +195,7 @@ TABLE = (
     Row(HOMEWARD, _has(Setback.LINK_LOST), None, Action.LISTEN, Reason.LOST),
     Row(HOMEWARD, lambda s: s.setback is Setback.REFUSED and s.is_refused_for_long,
         State.ENDED, Action.END, Reason.REFUSED_FOR_GOOD),  # F:
-    Row(HOMEWARD, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN_RETURNING),
+    Row(HOMEWARD, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
     Row(HOMEWARD, lambda s: _is_failsafe_new(s) and s.is_coming_down,
         State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_FLIES),
     Row(HOMEWARD, lambda s: _is_failsafe_new(s),
@@ -215,32 +204,27 @@ TABLE = (
         and (s.state is State.RETURNING or s.before is not State.LANDING),
         State.LANDING, Action.LEAVE, Reason.LAND_NOW),
     Row(HOMEWARD, lambda s: s.is_down_under_way, None, Action.WATCH, Reason.COMING_DOWN),
-    Row(_RETURNING, _has(Setback.REFUSED), State.LANDING, Action.LEAVE, Reason.RETURN_REFUSED),
+    Row(_RETURNING, _has(Setback.REFUSED), State.LANDING, Action.LEAVE, Reason.REFUSED),
     Row(_LANDING, lambda s: s.setback is Setback.REFUSED and s.times_interrupted < 2,
-        State.RETURNING, Action.LEAVE, Reason.LANDING_REFUSED),
+        State.RETURNING, Action.LEAVE, Reason.REFUSED),
     Row(_RETURNING + _LANDING, lambda s: s.is_on_ground, None, Action.DISARM, Reason.ON_GROUND),
     Row(_RETURNING + _LANDING, lambda s: s.times_interrupted >= 2 or s.state is State.LANDING,
         State.LANDING, Action.LAND, Reason.DOWN_HERE),
     Row(_RETURNING, _always, None, Action.RETURN, Reason.HOME),
 
     # The pilot, who always wins: nothing is commanded.
-    Row(_PILOT, _has(Setback.FAILED), State.ENDED, Action.END, Reason.PILOT_FAILED),  # F:
+    Row(_PILOT, _has(Setback.FAILED), State.ENDED, Action.END, Reason.BROKEN),  # F:
     Row(_PILOT, lambda s: not s.is_armed, State.ENDED, Action.END, Reason.PILOT_LANDED),
     Row(_PILOT, lambda s: s.times_interrupted >= 2, State.ENDED, Action.END, Reason.PILOT_KEEPS),
     Row(_PILOT, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
-        State.ENDED, Action.END, Reason.PILOT_LOST),  # F:
-    Row(_PILOT, _has(Setback.LINK_LOST), None, Action.WAIT, Reason.PILOT_SILENT),
-    Row(_PILOT, _given_back(State.LAUNCHING),
-        State.RETURNING, Action.LEAVE, Reason.GIVEN_BACK_EARLY),
+        State.ENDED, Action.END, Reason.LOST_FOR_GOOD),  # F:
+    Row(_PILOT, _has(Setback.LINK_LOST), None, Action.WAIT, Reason.LOST),
     Row(_PILOT, _given_back(State.PATROLLING), State.PATROLLING, Action.GO_ON, Reason.GIVEN_BACK),
-    Row(_PILOT, _given_back(State.RETURNING, State.FAILSAFE),
-        State.RETURNING, Action.LEAVE, Reason.GIVEN_BACK_RETURNING),
-    Row(_PILOT, _given_back(State.LANDING),
-        State.LANDING, Action.LEAVE, Reason.GIVEN_BACK_LANDING),
+    Row(_PILOT, _given_back(State.LANDING), State.LANDING, Action.LEAVE, Reason.GIVEN_BACK),
+    Row(_PILOT, _given_back(State.LAUNCHING, State.RETURNING, State.FAILSAFE),
+        State.RETURNING, Action.LEAVE, Reason.GIVEN_BACK),  # before the patrol: too early to go on
     Row(_PILOT, lambda s: s.is_failsafe, None, Action.WAIT, Reason.PILOT_FAILSAFE),
-    Row(_PILOT, _always, None, Action.OFFER, Reason.PILOT_FLIES),
-
-    Row(_ENDED, _always, None, Action.END, Reason.OVER),
+    Row(_PILOT, _always, None, Action.OFFER, Reason.TAKEN),
 )
 # fmt: on
 _ROWS = {state: [row for row in TABLE if state in row.states] for state in State}

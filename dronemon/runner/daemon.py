@@ -21,21 +21,11 @@ async def in_daemon_thread(call: Callable[[], T]) -> T:
         try:
             result = call()
         except Exception as exc:  # noqa: BLE001 - a planner may fail in any way; the drone returns
-            settle = partial(_fail, answer, exc)
+            settle = partial(answer.set_exception, exc)
         else:
-            settle = partial(_settle, answer, result)
+            settle = partial(answer.set_result, result)
         with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-            loop.call_soon_threadsafe(settle)
+            loop.call_soon_threadsafe(lambda: answer.cancelled() or settle())
 
     threading.Thread(target=work, name="planner", daemon=True).start()
     return await answer
-
-
-def _settle(answer: asyncio.Future[T], result: T) -> None:
-    if not answer.cancelled():
-        answer.set_result(result)
-
-
-def _fail(answer: asyncio.Future[T], error: Exception) -> None:
-    if not answer.cancelled():
-        answer.set_exception(error)

@@ -48,13 +48,7 @@ _OUTCOMES = {
     Reason.PILOT_LANDED: "pilot",
     Reason.PILOT_KEEPS: "pilot",
 }
-_GIVEN_UP = {
-    Reason.BROKEN,
-    Reason.LOST_FOR_GOOD,
-    Reason.REFUSED_FOR_GOOD,
-    Reason.PILOT_FAILED,
-    Reason.PILOT_LOST,
-}
+_GIVEN_UP = {Reason.BROKEN, Reason.LOST_FOR_GOOD, Reason.REFUSED_FOR_GOOD}
 _SECOND = {
     State.PILOT: "the pilot flies on; Ctrl-C again ends the program and leaves it to the pilot",
     State.LANDING: "the drone is landing here already",
@@ -92,8 +86,7 @@ class Supervisor:
         self.error: DronemonError | None = None
         self._setback = Setback.NONE
         self._problem: DronemonError | None = None  # behind the setback
-        self._is_down_under_way = False
-        self._down_by_s = math.inf
+        self._down_by_s: float | None = None  # while it is on its way down
         self._num_unheard = 0
         self._was_armed = False
         self._is_lost = False
@@ -150,7 +143,7 @@ class Supervisor:
 
     def _meet(self, exc: DronemonError) -> None:
         """Make a setback of an error; on the way home the first of a kind is told."""
-        self._problem, self._is_down_under_way = exc, False
+        self._problem, self._down_by_s = exc, None
         is_homeward = self.state in HOMEWARD
         match exc:
             case ControlTaken():
@@ -182,10 +175,10 @@ class Supervisor:
         advice = advise(situation)
         if advice.state is not self.state or situation.setback is Setback.FAILSAFE:
             self._change(advice)
-        if advice.action is Action.WATCH and not self._is_down_under_way:
-            self._begin_descent()
-        elif advice.action is not Action.WATCH:
-            self._is_down_under_way = False
+        if advice.action is not Action.WATCH:
+            self._down_by_s = None
+        elif self._down_by_s is None:
+            self._down_by_s = self._link.time_s + LANDING_LIMIT_S
         self.state, self._setback = advice.state, Setback.NONE
         return advice
 
@@ -206,7 +199,7 @@ class Supervisor:
             is_offboard=state.mode is Mode.OFFBOARD,
             is_failsafe=state.is_failsafe,
             is_coming_down=state.mode in {Mode.RETURN, Mode.LAND},
-            is_down_under_way=self._is_down_under_way,
+            is_down_under_way=self._down_by_s is not None,
             times_interrupted=self._interrupts.count,
             is_horizon_flown=is_horizon_flown,
             is_planner_late=is_planner_late,
@@ -226,7 +219,7 @@ class Supervisor:
         elif self.state is State.PILOT:
             self._events.note("control given back", "the mode is offboard again")
             self._events.must_go_on = advice.state is not State.PATROLLING
-            if advice.reason is Reason.GIVEN_BACK_EARLY:
+            if self._before is State.LAUNCHING:  # too early to go on
                 self._leave_mission("failed", self._problem)
         elif self._setback is Setback.FAILSAFE:
             self._take_note("failsafe")
@@ -263,7 +256,7 @@ class Supervisor:
             self.outcome = _OUTCOMES.get(reason, "failed")
         if reason in _GIVEN_UP:
             self.error = self.error or self._problem
-            if reason not in {Reason.LOST_FOR_GOOD, Reason.REFUSED_FOR_GOOD}:  # told before
+            if reason is Reason.BROKEN or self.state is State.PILOT:  # else told before
                 self._events.note("failure", str(self._problem), level="ERROR")
         elif reason is Reason.MOTORS_OFF and self._was_armed:
             self._events.note("disarmed", str(reason))
@@ -279,7 +272,7 @@ class Supervisor:
             case Action.RETURN | Action.LAND:
                 await (link.land() if action is Action.LAND else link.return_home())
                 self._events.note("homecoming", str(self.state))
-                self._begin_descent()
+                self._down_by_s = link.time_s + LANDING_LIMIT_S
             case Action.DISARM:
                 await link.disarm()
             case Action.WATCH:
@@ -288,16 +281,11 @@ class Supervisor:
                 await self._offer()
             case Action.WAIT:
                 await link.next_pose()
-            case _:  # LEAVE: it has been left
-                return
-
-    def _begin_descent(self) -> None:
-        self._is_down_under_way = True
-        self._down_by_s = self._link.time_s + LANDING_LIMIT_S
 
     async def _watch(self) -> None:
         """Wait until disarmed, until a person asks for something, or until a line is due."""
         self._progress(str(self.state))
+        assert self._down_by_s is not None  # the guard said WATCH
         now_s, asked = self._link.time_s, self._interrupts.count
         await self._link.wait_until(
             lambda: (
