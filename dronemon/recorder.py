@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -24,6 +25,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +40,8 @@ DECISIONS_FILE = "decisions.jsonl"
 EVENTS_FILE = "events.jsonl"
 RRD_FILE = "flight.rrd"
 SUMMARY_FILE = "summary.json"
-RUN_FILES = (
-    MISSION_FILE,
-    OBSERVATIONS_FILE,
-    DECISIONS_FILE,
-    EVENTS_FILE,
-    RRD_FILE,
-    SUMMARY_FILE,
-)
+LINE_FILES = (OBSERVATIONS_FILE, DECISIONS_FILE, EVENTS_FILE)
+RUN_FILES = (MISSION_FILE, *LINE_FILES, RRD_FILE, SUMMARY_FILE)
 TRUTH_FILE, SIMULATOR_LOG = OTHER_FILES = ("truth.jsonl", "simulator.log")
 """What a simulator writes beside them."""
 IN_FLIGHT = "in flight"
@@ -60,19 +56,14 @@ class RunRecorder:
     way home is not interrupted by later ones, which are counted in `lost_lines`.
     """
 
-    def __init__(
-        self, folder: RunFolder, names: Sequence[str], started: str, *, is_new: bool
-    ) -> None:
+    def __init__(self, folder: RunFolder, names: Sequence[str], *, is_new: bool) -> None:
         self.folder = folder
         self._is_new = is_new
         self.lost_lines = 0
         self._names = tuple(names)
-        self._started = started
+        self._started = _stamp("seconds")
         self._has_failed = False
-        self._logs = {
-            name: _AppendOnlyFile(folder.path / name)
-            for name in (OBSERVATIONS_FILE, DECISIONS_FILE, EVENTS_FILE)
-        }
+        self._logs = {name: _AppendOnlyFile(folder.path / name) for name in LINE_FILES}
 
     @classmethod
     def create(
@@ -90,13 +81,12 @@ class RunRecorder:
         Raises RecordError: `out` holds a run already, the folder cannot be written, or its disk has
         less than `needed_bytes` free.
         """
-        now, is_new = _now(), out is None or not out.exists()
+        is_new = out is None or not out.exists()
         try:
-            path = _new_folder(root, mission_name, now) if out is None else _chosen_folder(out)
+            path = _new_folder(root, mission_name) if out is None else _chosen_folder(out)
             _check_space(path, needed_bytes)
             _write_new(path / MISSION_FILE, mission_text)
-            started = now.isoformat(timespec="seconds")
-            recorder = cls(RunFolder(path=path), target_names, started, is_new=is_new)
+            recorder = cls(RunFolder(path=path), target_names, is_new=is_new)
             recorder._write_summary({"outcome": IN_FLIGHT})
         except OSError as exc:
             raise RecordError(
@@ -119,16 +109,9 @@ class RunRecorder:
             case Decided():
                 self._append(DECISIONS_FILE, asdict(event))
             case Noted():
-                self._append(
-                    EVENTS_FILE,
-                    {
-                        "time_s": event.time_s,
-                        "wall": _now().isoformat(timespec="milliseconds"),
-                        "kind": event.kind,
-                        "text": event.text,
-                        **event.fields,
-                    },
-                )
+                said: dict[str, object] = {"time_s": event.time_s, "wall": _stamp("milliseconds")}
+                said |= {"kind": event.kind, "text": event.text, **event.fields}
+                self._append(EVENTS_FILE, said)
 
     def _observation(self, event: Measured) -> dict[str, object]:
         measurement = event.measurement
@@ -147,7 +130,7 @@ class RunRecorder:
     @property
     def is_empty(self) -> bool:
         """Whether no line has been recorded."""
-        return all(log.is_empty for log in self._logs.values())
+        return not any(log.size_bytes for log in self._logs.values())
 
     def discard(self) -> None:
         """Remove a run in which nothing happened; the folder too if it was made for it alone."""
@@ -170,15 +153,9 @@ class RunRecorder:
                 for name in RUN_FILES
                 if name != SUMMARY_FILE and (self.folder.path / name).exists()
             }
-            self._write_summary(
-                {
-                    "outcome": outcome,
-                    "ended": _now().isoformat(timespec="seconds"),
-                    **summary,
-                    "lost_lines": self.lost_lines,
-                    "files": files,
-                }
-            )
+            head = {"outcome": outcome, "ended": _stamp("seconds")}
+            tail = {"lost_lines": self.lost_lines, "files": files}
+            self._write_summary({**head, **summary, **tail})
         except OSError as exc:
             raise RecordError(
                 f"cannot write {self.folder.path / SUMMARY_FILE}: {exc.strerror};"
@@ -270,31 +247,26 @@ class RunFolder:
 
 
 class _AppendOnlyFile:
-    """A file to which whole, synced lines are added."""
+    """A file to which whole, synced lines are added; `size_bytes` grows with them."""
 
     def __init__(self, path: Path) -> None:
-        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
-        self._size_bytes = 0
+        self._file = path.open("xb", buffering=0)
+        self.size_bytes = 0
 
     def append(self, line: bytes) -> None:
         """Add one line, or nothing and raise OSError."""
         try:
-            _write_all(self._fd, line)
-            os.fsync(self._fd)
+            _write_all(self._file, line)
+            os.fsync(self._file)
         except OSError:
             with contextlib.suppress(OSError):
-                os.ftruncate(self._fd, self._size_bytes)
+                self._file.truncate(self.size_bytes)
+                self._file.seek(self.size_bytes)
             raise
-        self._size_bytes += len(line)
-
-    @property
-    def is_empty(self) -> bool:
-        return not self._size_bytes
+        self.size_bytes += len(line)
 
     def close(self) -> None:
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        self._file.close()
 
 
 def _now() -> datetime:
@@ -302,19 +274,20 @@ def _now() -> datetime:
     return datetime.now(UTC).astimezone()
 
 
-def _new_folder(root: Path, mission_name: str, now: datetime) -> Path:
+def _stamp(precision: str) -> str:
+    return _now().isoformat(timespec=precision)
+
+
+def _new_folder(root: Path, mission_name: str) -> Path:
     slug = re.sub(r"[^A-Za-z0-9]+", "-", mission_name).strip("-").lower()[:40] or "mission"
-    stem = f"{now:%Y%m%d-%H%M%S}-{slug}"
+    stem = f"{_now():%Y%m%d-%H%M%S}-{slug}"
     root.mkdir(parents=True, exist_ok=True)
-    number = 1
-    while True:
+    for number in itertools.count(1):
         path = root / (stem if number == 1 else f"{stem}-{number}")
-        try:
+        with contextlib.suppress(FileExistsError):
             path.mkdir()
-        except FileExistsError:
-            number += 1
-        else:
-            return path
+            break
+    return path
 
 
 def _chosen_folder(out: Path) -> Path:
@@ -338,18 +311,15 @@ def _check_space(path: Path, needed_bytes: int) -> None:
 
 
 def _write_new(path: Path, text: str) -> None:
-    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-    try:
-        _write_all(fd, text.encode())
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+    with path.open("xb", buffering=0) as file:
+        _write_all(file, text.encode())
+        os.fsync(file)
 
 
-def _write_all(fd: int, data: bytes) -> None:
+def _write_all(file: FileIO, data: bytes) -> None:
     rest = memoryview(data)
     while rest:
-        rest = rest[os.write(fd, rest) :]
+        rest = rest[file.write(rest) :]
 
 
 def _sync_folder(path: Path) -> None:
