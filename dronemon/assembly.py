@@ -18,7 +18,7 @@ from dronemon.events import TruthTold
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
 from dronemon.preflight import make_planner
-from dronemon.recorder import MISSION_FILE, SIMULATOR_LOG, TRUTH_FILE, RunFolder, RunRecorder
+from dronemon.recorder import SIMULATOR_LOG, RunFolder, RunRecorder
 from dronemon.runner import (
     FlightResult,
     FlightSetup,
@@ -32,7 +32,7 @@ from dronemon.simulator import Simulator, read_truth, simulator
 from dronemon.terminal import FlightDisplay, console
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
-from dronemon.vision import Detector
+from dronemon.vision.detector import Detector
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.viz import FlightView
 
@@ -117,7 +117,7 @@ async def _with_everything(
                 interrupts=interrupts,
             )
         )
-        truth = read_truth(sim.truth) if sim else {}
+        truth = read_truth(folder.path)
         for time_s, targets_au in truth.items():
             view.take(TruthTold(time_s=time_s, targets_au=targets_au))
     return result, truth
@@ -136,14 +136,7 @@ async def _start(
         async with asyncio.TaskGroup() as group:
             group.create_task(rehearsal, name="rehearsal")
             if mission.vehicle.is_mock or follow:
-                sim = await stack.enter_async_context(
-                    simulator(
-                        folder.path / MISSION_FILE,
-                        truth=folder.path / TRUTH_FILE,
-                        log=folder.path / SIMULATOR_LOG,
-                        follow=follow,
-                    )
-                )
+                sim = await stack.enter_async_context(simulator(folder.path, follow))
     except BaseExceptionGroup as group_error:
         # The first failure cancelled the other.
         raise group_error.exceptions[0] from None

@@ -11,16 +11,12 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import dronemon
 from dronemon.errors import DronemonError, OptionError, VehicleError
-from dronemon.mission import Mission, MissionFile, shipped_missions
-from dronemon.mission.checks import outbound_min, usable_min
-from dronemon.planner.registry import CLASS_PATTERN, describe_planners, is_bound
-from dronemon.preflight import doubts, load_checked, px_per_m
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.terminal import (
     console,
@@ -29,10 +25,11 @@ from dronemon.terminal import (
     print_warning,
     write_in_any_encoding,
 )
-from dronemon.vision.prototypes import NEEDED_PX_PER_M
 
-# What is slow to import (torch, numba, MAVSDK, OpenCV, Rerun, asyncio) is imported by the command
-# that needs it, so that the others answer at once.
+if TYPE_CHECKING:
+    from dronemon.mission import Mission, MissionFile
+
+# Nearly all is slow to import, and so imported by the command that needs it.
 
 INTERRUPTED = 130
 _DEFAULT_MISSION = "animals"
@@ -158,6 +155,8 @@ def check(
 
 def _checked(context: typer.Context) -> MissionFile:
     """The mission that a command was given, with its options; doubts are told on stderr."""
+    from dronemon.preflight import doubts, load_checked
+
     given = context.params
     if given["file"] and given["mission"]:
         raise OptionError(f"the mission is given twice: {given['file']} and --mission; leave one")
@@ -175,6 +174,10 @@ def _checked(context: typer.Context) -> MissionFile:
 
 def _facts(m: Mission) -> dict[str, str]:
     """What would be flown, in words."""
+    from dronemon.mission.checks import outbound_min, usable_min
+    from dronemon.preflight import px_per_m
+    from dronemon.vision.detector import NEEDED_PX_PER_M
+
     # Mean distance to one of the k nearest of V random places.
     leg_au = 2.0 / 3.0 * math.sqrt(m.roadmap.num_neighbours / (math.pi * m.roadmap.num_nodes))
     return {
@@ -218,6 +221,8 @@ def init(
 @app.command()
 def missions() -> None:
     """List the shipped missions."""
+    from dronemon.mission import shipped_missions
+
     for name, path in shipped_missions().items():
         console.print(f"{name}: {path}", soft_wrap=True, markup=False)
 
@@ -225,6 +230,8 @@ def missions() -> None:
 @app.command()
 def planners() -> None:
     """List what may choose the waypoints, and what each is."""
+    from dronemon.planner.registry import describe_planners
+
     for name, about in describe_planners().items():
         console.print(f"{name}: {about}", soft_wrap=True, markup=False)
 
@@ -232,6 +239,9 @@ def planners() -> None:
 @app.command()
 def schema() -> None:
     """Print the JSON schema of mission files, for editors."""
+    from dronemon.mission import Mission
+    from dronemon.planner.registry import CLASS_PATTERN, describe_planners, is_bound
+
     document = Mission.model_json_schema()
     names = [name for name in describe_planners() if not is_bound(name)]
     kind = document["$defs"]["Planner"]["properties"]["kind"]

@@ -10,12 +10,14 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from dronemon.clock import Clock
 from dronemon.errors import RecordError, VehicleError
-from dronemon.frames import AreaFrame
 from dronemon.types import Detection, FloatArray, IntArray, Measurement, Picture, Pose
+
+if TYPE_CHECKING:
+    from dronemon.frames import AreaFrame
 
 Level = Literal["INFO", "WARN", "ERROR"]
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 
+from dronemon.card import find_checkpoint, read_card
 from dronemon.errors import OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.document import Overrides, Problem
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
-from dronemon.vision.prototypes import NEEDED_PX_PER_M
+from dronemon.vision.detector import NEEDED_PX_PER_M
 
 
 def load_checked(name: str, overrides: Overrides, follow: str | None) -> MissionFile:
@@ -52,12 +53,11 @@ def doubts(mission: Mission, follow: str | None) -> list[str]:
     """What of a mission its planner was not trained for, a sentence each."""
     if not has_weights(mission.planner.kind):
         return []
-    from dronemon.planner.learned import LearnedPlanner  # torch is slow to import
-
-    planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
-    assert isinstance(planner, LearnedPlanner)
+    scope = read_card(find_checkpoint(mission.planner.checkpoint)).scope
+    if scope is None:
+        return ["the checkpoint does not say what it was trained for"]
     is_simulated = mission.vehicle.is_mock or follow is not None
-    return planner.outside_training(
+    return scope.outside(
         num_targets=len(mission.targets),
         num_nodes=mission.roadmap.num_nodes,
         speed_ratio=mission.simulation.speed_ratio if is_simulated else None,
@@ -120,13 +120,13 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
 
 
 def _planner_problems(mission: Mission) -> Iterator[Problem]:
-    """Whether the planner can be made; ours without weights always can, and are slow to import."""
+    """Whether the planner can be made; ours, which are slow to import, can if their weights can."""
     kind, checkpoint = mission.planner.kind, mission.planner.checkpoint
-    is_ours = kind in planner_names() and not (has_weights(kind) or is_bound(kind))
-    if is_ours and checkpoint is None:
-        return
     try:
-        make_planner(kind, checkpoint)
+        if has_weights(kind):
+            read_card(find_checkpoint(checkpoint))
+        elif checkpoint is not None or is_bound(kind) or kind not in planner_names():
+            make_planner(kind, checkpoint)
     except OptionError as exc:
         yield ("planner", "kind"), str(exc)
     except PolicyError as exc:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from dronemon.errors import VehicleError
+from dronemon.recorder import MISSION_FILE, SIMULATOR_LOG, TRUTH_FILE
 from dronemon.types import FloatArray
 
 START_LIMIT_S = 30.0
@@ -28,28 +29,27 @@ class Simulator:
     """A running simulator.
 
     vehicle_url: where its autopilot is heard, None if it follows another one; camera_url: its
-    pictures; targets_au: (N, 2) where its animals start; truth: file it writes the truth to.
+    pictures; targets_au: (N, 2) where its animals start.
     """
 
     vehicle_url: str | None
     camera_url: str
     targets_au: FloatArray
-    truth: Path
 
 
 @contextlib.asynccontextmanager
-async def simulator(
-    mission_file: Path, *, truth: Path, log: Path, follow: str | None
-) -> AsyncIterator[Simulator]:
+async def simulator(folder: Path, follow: str | None) -> AsyncIterator[Simulator]:
     """Run `python -m sim` on free loopback ports while the body runs.
 
+    folder: of the run, with the mission; the simulator's log and truth go there
     follow: MAVLink URL of a vehicle whose pose and clock the simulated camera follows, instead of
     flying one. Raises VehicleError if it does not start or ends early.
     """
-    port = _free_udp_port()
+    port, log = _free_udp_port(), folder / SIMULATOR_LOG
     where = ["--follow", follow] if follow else ["--mavlink-out", f"127.0.0.1:{port}"]
     # -P: a `sim` that happens to lie in the current folder is not ours.
-    command = ["-P", "-m", "sim", str(mission_file), *where, "--truth", str(truth), "--parent"]
+    files = [str(folder / MISSION_FILE), "--truth", str(folder / TRUTH_FILE)]
+    command = ["-P", "-m", "sim", *files, *where, "--parent"]
     with log.open("wb") as log_file:
         process = await asyncio.create_subprocess_exec(
             sys.executable,
@@ -65,7 +65,6 @@ async def simulator(
                 vehicle_url=None if follow else f"udpin://127.0.0.1:{port}",
                 camera_url=ready["camera"],
                 targets_au=np.array(ready["targets_au"], dtype=np.float64),
-                truth=truth,
             )
         finally:
             await _stop(process)
@@ -112,9 +111,10 @@ def _free_udp_port() -> int:
     return port
 
 
-def read_truth(path: Path) -> dict[float, FloatArray]:
-    """Where the simulator had its animals at each picture: capture time -> (N, 2) au."""
+def read_truth(folder: Path) -> dict[float, FloatArray]:
+    """Where a run's simulator had its animals at each picture: capture time -> (N, 2) au."""
     truth: dict[float, FloatArray] = {}
+    path = folder / TRUTH_FILE
     if path.exists():
         for line in path.read_text(encoding="utf-8").splitlines():
             with contextlib.suppress(ValueError):  # the last line, if the simulator was killed

@@ -16,6 +16,7 @@ LAYERS = {
     "events": 0,
     "arena": 0,
     "mission": 0,
+    "card": 0,
     "workers": 0,
     "sightings": 1,
     "belief": 1,
@@ -50,6 +51,7 @@ ORDER_IN_LAYER_0 = (
     "events",
     "arena",
     "mission",
+    "card",
     "workers",
 )
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from fractions import Fraction
 from functools import cache, partial
@@ -17,7 +17,7 @@ from dronemon.errors import RecordError
 from dronemon.evaluation.episode import Episode, fly_episode
 from dronemon.evaluation.options import EpisodeSpec, Key, Options, PlannerSpec
 from dronemon.evaluation.report import write_tables
-from dronemon.evaluation.results import Result, ResultsFile
+from dronemon.evaluation.results import Result, append_result, load_results
 from dronemon.planner import Planner
 from dronemon.version import code_version
 from dronemon.workers import share_out
@@ -41,23 +41,26 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
         raise RecordError(f"{options.out}: cannot be made: {exc.strerror}") from exc
-    file = ResultsFile(options.out / "results.jsonl")
-    results = file.load()
+    path = options.out / "results.jsonl"
+    results = load_results(path)
     specs = list(options.episodes())
     missing = [spec for spec in specs if not _is_done(spec, results, options)]
     again = set(missing)
-    _warn_of_other_code([results[spec.key] for spec in specs if spec not in again], file, console)
-    with _progress(console) as progress, closing(_fly_all(missing, options)) as flown:
+    _warn_of_other_code([results[spec.key] for spec in specs if spec not in again], path, console)
+    jobs = [(spec, _episode_path(spec, options)) for spec in missing]
+    flights = share_out(partial(_run, code=code_version()), jobs, options.workers)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    bars = Progress(*columns, TimeRemainingColumn(), console=console)
+    with bars as progress, closing(flights) as flown:
         bar = progress.add_task("episodes", total=len(specs), completed=len(specs) - len(missing))
         for result in flown:
-            file.append(result)
+            append_result(path, result)
             results[result.key] = result
             progress.advance(bar)
     finished = [results[spec.key] for spec in specs]
     is_as_published = (options.horizon_au, options.num_nodes) == PUBLISHED_CONDITIONS
-    for verdict in write_tables(
-        finished, options.out, options.command, is_as_published=is_as_published
-    ):
+    verdicts = write_tables(finished, options.out, options.command, is_as_published=is_as_published)
+    for verdict in verdicts:
         console.print(verdict, soft_wrap=True, markup=False)
     _draw(finished, options)
     return finished
@@ -93,12 +96,12 @@ def _draw(results: Sequence[Result], options: Options) -> None:
     draw_overview(episode, instant, f"{method}: {title}", options.out / "overview.png")
 
 
-def _warn_of_other_code(kept: Sequence[Result], file: ResultsFile, console: Console) -> None:
+def _warn_of_other_code(kept: Sequence[Result], path: Path, console: Console) -> None:
     """Say so if finished episodes that this run takes over were not flown by the code that runs."""
     others = [result.code for result in kept if result.code != code_version()]
     if others:
         console.print(
-            f"warning: {len(others)} finished episodes in {file.path} were flown by other code "
+            f"warning: {len(others)} finished episodes in {path} were flown by other code "
             f"({' and '.join(sorted(set(others)))}; running now: {code_version()}); they are kept, "
             "and the tables name every version. To measure this code alone, take a fresh --out",
             style="yellow",
@@ -121,12 +124,6 @@ def _episode_path(spec: EpisodeSpec, options: Options) -> Path | None:
 def _planner(spec: PlannerSpec, settings: str) -> Planner:
     """One planner serves all episodes of a process; `settings` changes with its weights."""
     return spec.create()
-
-
-def _fly_all(specs: Sequence[EpisodeSpec], options: Options) -> Generator[Result]:
-    """Fly episodes, in this process or in several, and give each result when it is there."""
-    jobs = [(spec, _episode_path(spec, options)) for spec in specs]
-    return share_out(partial(_run, code=code_version()), jobs, options.workers)
 
 
 def _run(job: tuple[EpisodeSpec, Path | None], *, code: str) -> Result:
@@ -157,14 +154,4 @@ def _run(job: tuple[EpisodeSpec, Path | None], *, code: str) -> Result:
         decisions=len(episode.decisions_s),
         decision_s=float(episode.decisions_s.mean()),
         code=code,
-    )
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
     )

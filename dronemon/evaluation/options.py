@@ -12,10 +12,10 @@ from functools import cached_property
 from pathlib import Path
 
 from dronemon import __version__
+from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
 from dronemon.planner import Planner, create_planner, has_weights, planner_names
-from dronemon.policy import find_checkpoint
 from dronemon.problem import Prior
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
@@ -97,15 +97,11 @@ class EpisodeSpec:
     def file_name(self) -> str:
         """Name of the file of this episode's arrays."""
         cell = self.cell
-        parts = (
-            self.planner.method.replace(":", "-"),
-            f"N{cell.num_targets}",
-            str(cell.speed_ratio).replace("/", "-"),
-            cell.prior,
-            f"seed{self.seed}",
-            self.settings,
+        name = (
+            f"{self.planner.method}_N{cell.num_targets}_{cell.speed_ratio}_{cell.prior}"
+            f"_seed{self.seed}_{self.settings}.npz"
         )
-        return "_".join(parts) + ".npz"
+        return name.replace(":", "-").replace("/", "-")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,10 +179,7 @@ class Options:
     def _settings(self) -> dict[PlannerSpec, str]:
         """Digest, per planner, of what decides an outcome besides the rest of a key."""
         common = {"version": __version__, "horizon": self.horizon_au, "nodes": self.num_nodes}
-        return {
-            planner: _digest({**common, "weights": planner.weights_digest})
-            for planner in self.planners
-        }
+        return {p: _digest({**common, "weights": p.weights_digest}) for p in self.planners}
 
     def episodes(self) -> Iterator[EpisodeSpec]:
         """All episodes; seed by seed, so that an unfinished run covers all cells alike."""
@@ -203,12 +196,9 @@ class Options:
             horizon_au=self.horizon_au,
             num_nodes=self.num_nodes,
         )
+        settings = self._settings[planner]
         return EpisodeSpec(
-            planner=planner,
-            cell=cell,
-            seed=seed,
-            conditions=conditions,
-            settings=self._settings[planner],
+            planner=planner, cell=cell, seed=seed, conditions=conditions, settings=settings
         )
 
 

@@ -30,6 +30,7 @@ from dronemon.evaluation.tables import (
     published_overall,
     published_rows,
 )
+from dronemon.problem import Prior
 
 DIGITS = {"min_ob": 2}
 """Digits after the point of a figure; 3 for others."""
@@ -46,9 +47,9 @@ def write_tables(
     """
     rows = average_by_cell(results)
     cells = {row.cell for row in rows}
-    published = [row for row in published_rows() if row.cell in cells and is_as_published]
+    published = _renamed(r for r in published_rows() if r.cell in cells and is_as_published)
     differences = paired_differences(results)
-    _write_csv(out / "table.csv", _table_records([*rows, *_renamed(published)]))
+    _write_csv(out / "table.csv", _table_records([*rows, *published]))
     _write_csv(out / "paired.csv", _difference_records(differences))
     seeds = [result.seed for result in results]
     codes = sorted({result.code for result in results})
@@ -69,18 +70,13 @@ def write_tables(
         *_cell_tables(rows, published),
         *_paired(differences),
     ]
-    text = "\n".join([*title, *body])
-    (out / "table.md").write_text(text, encoding="utf-8")
+    (out / "table.md").write_text("\n".join([*title, *body]), encoding="utf-8")
     return verdicts
 
 
 def _renamed(published: Iterable[Row]) -> list[Row]:
     """Published rows under names that cannot be mistaken for ours."""
-    return [replace(row, method=_paper_name(row.method)) for row in published]
-
-
-def _paper_name(method: str) -> str:
-    return f"paper: {method}"
+    return [replace(row, method=f"paper: {row.method}") for row in published]
 
 
 def _write_csv(path: Path, records: list[dict[str, str]]) -> None:
@@ -125,12 +121,9 @@ def _difference_records(differences: Iterable[Difference]) -> list[dict[str, str
             "minus": difference.other,
             "cells": str(difference.cells),
             **{
-                column: text
+                f"{name}{end}": _number(value, name, extra_digits=1)
                 for name, estimate in difference.figures.items()
-                for column, text in (
-                    (name, _number(estimate.mean, name, extra_digits=1)),
-                    (f"{name}_se", _number(estimate.standard_error, name, extra_digits=1)),
-                )
+                for end, value in (("", estimate.mean), ("_se", estimate.standard_error))
             },
         }
         for difference in differences
@@ -162,7 +155,7 @@ def _means(results: Sequence[Result], is_as_published: bool) -> list[str]:
         return []
     if is_as_published:
         body += [
-            [_paper_name(method), *(_number(mean[name], name) for name in PAPER_FIGURES)]
+            [f"paper: {method}", *(_number(mean[name], name) for name in PAPER_FIGURES)]
             for method, mean in published_overall().items()
         ]
     return [
@@ -214,16 +207,13 @@ def _plus_minus(estimate: Estimate, name: str) -> str:
 def _cell_tables(rows: Sequence[Row], published: Sequence[Row]) -> list[str]:
     """Tables per prior and number of targets: a line per method, a column per speed ratio."""
     lines: list[str] = []
-    groups = dict.fromkeys((row.cell.prior, row.cell.num_targets) for row in rows)
-    for prior, count in groups:
-        mine = [row for row in rows if (row.cell.prior, row.cell.num_targets) == (prior, count)]
-        speeds = list(dict.fromkeys(row.cell.speed_ratio for row in mine))
-        theirs = [
-            row
-            for row in published
-            if (row.cell.prior, row.cell.num_targets) == (prior, count)
-            and row.cell.speed_ratio in speeds
-        ]
+    groups: dict[tuple[Prior, int], list[Cell]] = {}
+    for cell in dict.fromkeys(row.cell for row in rows):
+        groups.setdefault((cell.prior, cell.num_targets), []).append(cell)
+    by_method: dict[str, dict[Cell, Row]] = {}
+    for row in [*rows, *published]:
+        by_method.setdefault(row.method, {})[row.cell] = row
+    for (prior, count), cells in groups.items():
         lines += [f"## N = {count}, prior: {prior}", ""]
         for name, title in (
             ("unc", "Unc (standard deviation between targets)"),
@@ -232,39 +222,22 @@ def _cell_tables(rows: Sequence[Row], published: Sequence[Row]) -> list[str]:
             ("lost", "Lost: share of targets and instants with Unc above 0.9"),
         ):
             lines += [f"{title}", ""]
-            header = ["method", *(f"r_v = {speed}" for speed in speeds)]
+            header = ["method", *(f"r_v = {cell.speed_ratio}" for cell in cells)]
             body = [
-                [
-                    label,
-                    *(
-                        _entry(group, Cell(prior=prior, num_targets=count, speed_ratio=speed), name)
-                        for speed in speeds
-                    ),
-                ]
-                for label, group in _by_method(mine, theirs)
-                if any(name in row.figures for row in group)
+                [method, *(_entry(row_of.get(cell), name) for cell in cells)]
+                for method, row_of in by_method.items()
+                if any(name in row_of[cell].figures for cell in cells if cell in row_of)
             ]
             lines += _markdown(header, body)
     return lines
 
 
-def _by_method(mine: Sequence[Row], theirs: Sequence[Row]) -> list[tuple[str, list[Row]]]:
-    """Rows grouped by method, the paper's last."""
-    groups: dict[str, list[Row]] = {}
-    for row in [*mine, *_renamed(theirs)]:
-        groups.setdefault(row.method, []).append(row)
-    return list(groups.items())
-
-
-def _entry(rows: Sequence[Row], cell: Cell, name: str) -> str:
+def _entry(row: Row | None, name: str) -> str:
     """One figure of one method in one cell."""
-    for row in rows:
-        if row.cell == cell and name in row.figures:
-            spread = (
-                f" ({_number(row.figures['unc_std'].mean, 'unc_std')})" if name == "unc" else ""
-            )
-            return _plus_minus(row.figures[name], name) + spread
-    return ""
+    if row is None or name not in row.figures:
+        return ""
+    spread = f" ({_number(row.figures['unc_std'].mean, 'unc_std')})" if name == "unc" else ""
+    return _plus_minus(row.figures[name], name) + spread
 
 
 def _paired(differences: Sequence[Difference]) -> list[str]:

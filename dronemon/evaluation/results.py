@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -46,81 +45,60 @@ class Result:
 
     def as_json(self) -> str:
         """One line, without its end."""
-        cell = self.cell
-        scores = {
-            name: None if math.isnan(value) else value
-            for name, value in asdict(self.scores).items()
-        }
-        record = {
-            "method": self.method,
-            "targets": cell.num_targets,
-            "speed_ratio": str(cell.speed_ratio),
-            "prior": cell.prior,
-            "seed": self.seed,
-            "settings": self.settings,
-            "code": self.code,
-            "scores": scores,
-            "decisions": self.decisions,
-            "decision_s": self.decision_s,
-            "unc_over_time": self.unc_over_time,
+        record = asdict(self)
+        cell, scores = record.pop("cell"), record.pop("scores")
+        record |= {
+            "targets": cell["num_targets"],
+            "speed_ratio": str(cell["speed_ratio"]),
+            "prior": cell["prior"],
+            "scores": {n: None if math.isnan(value) else value for n, value in scores.items()},
         }
         return json.dumps(record, allow_nan=False)
 
     @classmethod
     def from_json(cls, line: str) -> Result:
         """Read a line that `as_json` wrote. Raises ValueError, KeyError or TypeError otherwise."""
-        record: Mapping[str, Any] = json.loads(line)
-        scores: dict[str, Any] = {
-            name: math.nan if value is None else value for name, value in record["scores"].items()
-        }
-        return cls(
-            method=record["method"],
-            cell=Cell(
-                prior=record["prior"],
-                num_targets=record["targets"],
-                speed_ratio=Fraction(record["speed_ratio"]),
+        record: dict[str, Any] = {"code": UNKNOWN_CODE, **json.loads(line)}
+        told: dict[str, Any] = record["scores"]
+        scores = {n: math.nan if value is None else value for n, value in told.items()}
+        record |= {
+            "cell": Cell(
+                prior=record.pop("prior"),
+                num_targets=record.pop("targets"),
+                speed_ratio=Fraction(record.pop("speed_ratio")),
             ),
-            seed=record["seed"],
-            settings=record["settings"],
-            scores=Scores(**scores),
-            unc_over_time=tuple(record["unc_over_time"]),
-            decisions=record["decisions"],
-            decision_s=record["decision_s"],
-            code=record.get("code", UNKNOWN_CODE),
-        )
+            "scores": Scores(**scores),
+            "unc_over_time": tuple(record["unc_over_time"]),
+        }
+        return cls(**record)
 
 
-class ResultsFile:
-    """The append-only file of finished episodes in a run's folder."""
+def load_results(path: Path) -> dict[Key, Result]:
+    """Read all finished episodes of a file; a last line that was cut off is removed from it.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    Raises RecordError if a line before the last one cannot be read.
+    """
+    if not path.exists():
+        return {}
+    content = path.read_bytes()
+    whole = content[: content.rfind(b"\n") + 1]
+    if len(whole) < len(content):
+        with path.open("r+b") as file:
+            file.truncate(len(whole))
+    results = {}
+    for number, line in enumerate(whole.decode().splitlines(), start=1):
+        try:
+            result = Result.from_json(line)
+        except (ValueError, KeyError, TypeError, AttributeError) as exc:
+            raise RecordError(
+                f"{path}:{number} is no finished episode ({exc!r}); remove the line, and "
+                "the episode is flown again"
+            ) from exc
+        results[result.key] = result
+    return results
 
-    def load(self) -> dict[Key, Result]:
-        """Read all finished episodes; a last line that was cut off is removed from the file.
 
-        Raises RecordError if a line before the last one cannot be read.
-        """
-        if not self.path.exists():
-            return {}
-        content = self.path.read_bytes()
-        whole = content[: content.rfind(b"\n") + 1]
-        if len(whole) < len(content):
-            with self.path.open("r+b") as file:
-                file.truncate(len(whole))
-        results = {}
-        for number, line in enumerate(whole.decode().splitlines(), start=1):
-            try:
-                result = Result.from_json(line)
-            except (ValueError, KeyError, TypeError, AttributeError) as exc:
-                raise RecordError(
-                    f"{self.path}:{number} is no finished episode ({exc!r}); remove the line, and "
-                    "the episode is flown again"
-                ) from exc
-            results[result.key] = result
-        return results
-
-    def append(self, result: Result) -> None:
-        """Add a finished episode and hand it to the operating system."""
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(result.as_json() + "\n")
+def append_result(path: Path, result: Result) -> None:
+    """Add a finished episode to a file and hand it to the operating system."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(result.as_json() + "\n")

@@ -19,6 +19,7 @@ from itertools import combinations
 
 import numpy as np
 
+from dronemon.belief import Scores
 from dronemon.evaluation.options import TABLE1_SPEED_RATIOS, TABLE1_TARGETS, Cell
 from dronemon.evaluation.results import Result
 
@@ -126,32 +127,21 @@ class Difference:
 
 def paired_differences(results: Sequence[Result]) -> list[Difference]:
     """Compare every two methods on the cells and instances that both flew."""
-    methods = list(dict.fromkeys(result.method for result in results))
-    by_method: dict[str, dict[tuple[Cell, int], Result]] = {method: {} for method in methods}
+    scores: dict[str, dict[tuple[Cell, int], Scores]] = {}
     for result in results:
-        by_method[result.method][result.cell, result.seed] = result
-    return [_difference(a, b, by_method[a], by_method[b]) for a, b in combinations(methods, 2)]
-
-
-def _difference(
-    method: str,
-    other: str,
-    ours: Mapping[tuple[Cell, int], Result],
-    theirs: Mapping[tuple[Cell, int], Result],
-) -> Difference:
-    """Average over instances in each cell, then over cells."""
-    shared = [key for key in ours if key in theirs]
-    figures = {
-        name: _mean_over_cells(
-            {
-                key: float(getattr(ours[key].scores, name) - getattr(theirs[key].scores, name))
-                for key in shared
-            }
-        )
-        for name in RANKED
-    }
-    cells = len({cell for cell, _ in shared})
-    return Difference(method=method, other=other, cells=cells, figures=figures)
+        scores.setdefault(result.method, {})[result.cell, result.seed] = result.scores
+    differences = []
+    for (method, ours), (other, theirs) in combinations(scores.items(), 2):
+        shared = [(key, ours[key], theirs[key]) for key in ours if key in theirs]
+        figures = {
+            name: _mean_over_cells(
+                {key: getattr(a, name) - getattr(b, name) for key, a, b in shared}
+            )
+            for name in RANKED
+        }
+        cells = len({cell for (cell, _), _, _ in shared})
+        differences.append(Difference(method=method, other=other, cells=cells, figures=figures))
+    return differences
 
 
 def _mean_over_cells(values: Mapping[tuple[Cell, int], float]) -> Estimate:

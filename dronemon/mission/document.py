@@ -6,7 +6,7 @@ import difflib
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,15 +32,13 @@ class Document:
     kind:    what such a file is called
     data:    its content, options included
     options: keys that came by an option -> its name
-    twice:   lines and names of keys that are given again
     """
 
     path: Path
     kind: str
     root: yaml.Node
     data: dict[str, Any]
-    options: Mapping[KeyPath, str] = field(default_factory=dict)
-    twice: tuple[tuple[int, str], ...] = ()
+    options: Mapping[KeyPath, str]
 
     @classmethod
     def read(cls, path: Path, kind: str, overrides: Overrides | None = None) -> Document:
@@ -70,13 +68,14 @@ class Document:
             if isinstance(given, dict):
                 given[key] = value
         options: dict[KeyPath, str] = {keys: name for keys, (name, _) in overrides.items()}
-        twice = tuple(_given_twice(root))
-        return cls(path=path, kind=kind, root=root, data=data, options=options, twice=twice)
+        return cls(path=path, kind=kind, root=root, data=data, options=options)
 
     def validate(
         self, model: type[Model], check: Callable[[Model], Iterable[Problem]] = lambda _: ()
     ) -> Model:
-        """The model of this file. Raises MissionFileError that tells all that is wrong with it.
+        """The model of this file.
+
+        Raises MissionFileError that tells all that is wrong, a line each, in the file's order.
 
         check: finds what no single key can say; asked once every key is right by itself.
         """
@@ -85,23 +84,19 @@ class Document:
             valid = model.model_validate(self.data)
             found = list(check(valid))
         except ValidationError as exc:
-            found = list(problems(model, exc))
-        if found or self.twice:
-            raise self.errors(found)
+            found = list(_problems(model, exc))
+        told = [self._tell(*problem) for problem in found]
+        told += [
+            (line, f"{self.path}:{line}: {key}: given twice; remove one")
+            for line, key in _given_twice(self.root)
+        ]
+        if told:
+            raise MissionFileError("\n".join(text for _, text in sorted(told, key=lambda t: t[0])))
         return valid
 
     def error(self, key_path: KeyPath, message: str) -> MissionFileError:
         """An error about one key of this file, or the option that it came by."""
         return MissionFileError(self._tell(key_path, message)[1])
-
-    def errors(self, found: Iterable[Problem]) -> MissionFileError:
-        """One error for all that was found, a line each, in the order of the file."""
-        told = [self._tell(*problem) for problem in found]
-        told += [
-            (line, f"{self.path}:{line}: {key}: given twice; remove one")
-            for line, key in self.twice
-        ]
-        return MissionFileError("\n".join(text for _, text in sorted(told, key=lambda t: t[0])))
 
     def _tell(self, key_path: KeyPath, message: str) -> tuple[int, str]:
         """The line of a key, 0 for an option, and the whole message."""
@@ -121,7 +116,7 @@ class Document:
         return line, f"{self.path}:{line}: {name}: {message}"
 
 
-def problems(model: type[BaseModel], exc: ValidationError) -> Iterator[Problem]:
+def _problems(model: type[BaseModel], exc: ValidationError) -> Iterator[Problem]:
     """What is wrong with data for a model: each key and its explanation, misspelt keys first."""
     found = sorted(exc.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     told: set[KeyPath] = set()
@@ -176,7 +171,8 @@ def _child(node: yaml.Node | None, key: str | int) -> tuple[int, yaml.Node] | No
 def _explain(model: Any, error: dict[str, Any]) -> str:
     kind, message, given = error["type"], str(error["msg"]), error["input"]
     if kind == "extra_forbidden":
-        return _explain_unknown(model, error["loc"])
+        hint = "".join(f"; did you mean `{near}`?" for near in _nearest(model, error["loc"]))
+        return f"no such key{hint} (allowed here: {', '.join(_allowed(model, error['loc']))})"
     if kind == "missing":
         return "is missing; add it"
     if kind == "value_error":
@@ -185,12 +181,6 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
     if kind in {"float_type", "float_parsing", "int_type", "int_parsing"}:
         text += "; write a bare number, its unit is the end of the key"
     return text
-
-
-def _explain_unknown(model: Any, key_path: KeyPath) -> str:
-    """Name the keys allowed beside an unknown one, and the nearest of them."""
-    hint = "".join(f"; did you mean `{near}`?" for near in _nearest(model, key_path))
-    return f"no such key{hint} (allowed here: {', '.join(_allowed(model, key_path))})"
 
 
 def _nearest(model: Any, key_path: KeyPath) -> list[str]:

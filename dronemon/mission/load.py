@@ -87,8 +87,6 @@ def _anchor_files(data: dict[str, Any], folder: Path) -> None:
         ("camera", "url", is_video_file),
     ):
         given = data.get(section)
-        if not isinstance(given, dict):
-            continue
-        name = given.get(key)
+        name = given.get(key) if isinstance(given, dict) else None
         if isinstance(name, str) and is_file(name):
             given[key] = str((folder / name).absolute())

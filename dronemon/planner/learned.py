@@ -22,7 +22,6 @@ from dronemon.policy import (
     find_checkpoint,
     load_checkpoint,
 )
-from dronemon.problem import Prior
 from dronemon.roadmap import Roadmap, laplacian_encoding
 from dronemon.sightings import Sightings
 
@@ -40,7 +39,6 @@ class LearnedPlanner:
         prediction_au: float = 2.0,
     ) -> None:
         self._network = checkpoint.network
-        self._scope = checkpoint.card.scope
         self._history = history
         self._prediction_au = prediction_au
 
@@ -52,19 +50,6 @@ class LearnedPlanner:
         """
         loaded = load_checkpoint(find_checkpoint(checkpoint))
         return cls(loaded, prediction_au=prediction_au)
-
-    def outside_training(
-        self, *, num_targets: int, num_nodes: int, speed_ratio: float | None, prior: Prior
-    ) -> list[str]:
-        """A sentence for each number of a mission that the weights were not trained for.
-
-        speed_ratio: the targets' speed over the drone's, None where nobody knows it
-        """
-        if self._scope is None:
-            return ["the checkpoint does not say what it was trained for"]
-        return self._scope.outside(
-            num_targets=num_targets, num_nodes=num_nodes, speed_ratio=speed_ratio, prior=prior
-        )
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the last mission's history and encode the new roadmap."""

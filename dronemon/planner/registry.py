@@ -34,39 +34,28 @@ def _later(module: str, maker: str) -> Callable[..., Planner]:
     return make
 
 
-_SHIPPED: dict[str, tuple[str, Callable[..., Planner]]] = {
-    "clairvoyant": ("tsp, told where targets will be: a bound, never flown", ClairvoyantTspLoop),
-    "clairvoyant-search": (
-        "search, told where targets will be: a bound, never flown",
-        _later("search", "ClairvoyantSearchPlanner"),
-    ),
-    "lawnmower": ("parallel lanes over the whole area, blind to what is seen", Lawnmower),
-    "search": (
-        "tries paths ahead on samples of where targets may be; the default",
-        _later("search", "SearchPlanner"),
-    ),
-    "search-roadmap": (
-        "search along the edges of the roadmap",
-        _later("search", "RoadmapSearchPlanner"),
-    ),
-    "stamp": (
-        "attention network over the roadmap; flies trained weights",
-        _later("learned", "LearnedPlanner.load"),
-    ),
-    "tsp": (
-        "shortest loop over where targets were last seen; the paper's baseline",
-        lambda: TspLoop("tsp", LastSeen()),
-    ),
-    "tsp-heading": (
-        "tsp, with targets carried on along their headings",
-        lambda: TspLoop("tsp-heading", CarriedOn()),
-    ),
-    "tsp-predicted": (
-        "tsp over the peaks of the belief a little later",
-        lambda: TspLoop("tsp-predicted", Predicted()),
-    ),
+_SHIPPED: dict[str, Callable[..., Planner]] = {
+    "clairvoyant": ClairvoyantTspLoop,
+    "clairvoyant-search": _later("search", "ClairvoyantSearchPlanner"),
+    "lawnmower": Lawnmower,
+    "search": _later("search", "SearchPlanner"),
+    "search-roadmap": _later("search", "RoadmapSearchPlanner"),
+    "stamp": _later("learned", "LearnedPlanner.load"),
+    "tsp": lambda: TspLoop("tsp", LastSeen()),
+    "tsp-heading": lambda: TspLoop("tsp-heading", CarriedOn()),
+    "tsp-predicted": lambda: TspLoop("tsp-predicted", Predicted()),
 }
-"""Name -> one line of what the planner is, and what makes it."""
+_ABOUT = {
+    "clairvoyant": "tsp, told where targets will be: a bound, never flown",
+    "clairvoyant-search": "search, told where targets will be: a bound, never flown",
+    "lawnmower": "parallel lanes over the whole area, blind to what is seen",
+    "search": "tries paths ahead on samples of where targets may be; the default",
+    "search-roadmap": "search along the edges of the roadmap",
+    "stamp": "attention network over the roadmap; flies trained weights",
+    "tsp": "shortest loop over where targets were last seen; the paper's baseline",
+    "tsp-heading": "tsp, with targets carried on along their headings",
+    "tsp-predicted": "tsp over the peaks of the belief a little later",
+}
 _LEARNED = {"stamp"}
 """Made from a checkpoint's path or name, the shipped one for None."""
 _BOUNDS = {"clairvoyant", "clairvoyant-search"}
@@ -98,11 +87,11 @@ def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
     weights; PolicyError for a checkpoint that cannot be used.
     """
     if has_weights(kind):
-        return _SHIPPED[kind][1](checkpoint)
+        return _SHIPPED[kind](checkpoint)
     if checkpoint is not None:
         raise OptionError(f"planner {kind!r} has no weights, but checkpoint {checkpoint} was given")
     if kind in _SHIPPED:
-        return _SHIPPED[kind][1]()
+        return _SHIPPED[kind]()
     if ":" in kind:
         return _make_outside(kind)
     brought = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
@@ -118,7 +107,7 @@ def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
 
 def describe_planners() -> dict[str, str]:
     """Name -> one line of what it is, entry points included."""
-    told = {kind: about for kind, (about, _) in sorted(_SHIPPED.items())}
+    told = dict(_ABOUT)
     for point in entry_points(group=ENTRY_POINTS):
         try:
             about = (inspect.getdoc(_find_class(point.value)) or "").split("\n")[0]

@@ -1,10 +1,9 @@
 """The learned policy: features, the paper's network, its memory in flight, checkpoints."""
 
+from dronemon.card import Card, Scope, find_checkpoint
 from dronemon.policy.checkpoint import (
     DEFAULT_HISTORY,
-    Card,
     Checkpoint,
-    find_checkpoint,
     load_checkpoint,
     read_tensors,
     save_checkpoint,
@@ -22,7 +21,6 @@ from dronemon.policy.features import (
 from dronemon.policy.history import History
 from dronemon.policy.layers import NetworkConfig, Projections
 from dronemon.policy.network import PolicyNetwork
-from dronemon.policy.scope import Scope
 from dronemon.policy.tracks import NUM_TRACK_FEATURES, Tracks
 
 __all__ = [

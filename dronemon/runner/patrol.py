@@ -32,7 +32,8 @@ from dronemon.runner.supervisor import PLANNER_LIMIT_S, Supervisor
 from dronemon.runner.tally import Tally
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vehicle import Setpoint
-from dronemon.vision import interpolate_pose, observe
+from dronemon.vision.observe import observe
+from dronemon.vision.project import interpolate_pose
 from dronemon.viz import belief_grid_au
 
 SETPOINT_INTERVAL_S = 0.05

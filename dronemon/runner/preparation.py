@@ -25,7 +25,7 @@ from dronemon.runner.interrupts import Interrupted, Interrupts
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement, Pose
 from dronemon.vehicle import VehicleLink
-from dronemon.vision import Detector
+from dronemon.vision.detector import Detector
 from dronemon.viz import belief_grid_au
 from dronemon.world import Instance
 from dronemon.world.instance import named_stream

@@ -303,7 +303,9 @@ def _keep(
         scope=plan.recipe.scope,
     )
     save_checkpoint(plan.out / "best.pt", network, card)
-    (plan.out / "best.md").write_text(card.markdown("best", network.config), encoding="utf-8")
+    (plan.out / "best.md").write_text(
+        card.markdown("best", asdict(network.config)), encoding="utf-8"
+    )
 
 
 def _forget_lines(path: Path, count: int) -> None:

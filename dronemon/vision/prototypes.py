@@ -14,12 +14,6 @@ from dronemon.types import FloatArray
 
 ENLARGEMENT = 1.8
 """Size of the animals in the pictures over that of real ones."""
-NEEDED_PX_PER_M = 5.5
-"""Size on the picture of a metre on the ground below which too many animals are missed or mistaken.
-
-Of animals in the footprint 100 % are found at 6, 97 % at 5.5, 91 % at 5, 79 % at 4.5: `python
-benchmarks/vision.py --height-m H`, where the default camera has 320 / H.
-"""
 
 COAT_COLOURS = {
     "black": ((18, 18, 20), (60, 61, 63), (80, 82, 84)),

@@ -11,7 +11,7 @@ import pytest
 from dronemon.errors import CameraError
 from dronemon.frames import AreaFrame
 from dronemon.types import CameraModel, Detection, ImageArray, Pose
-from dronemon.vision import Detector
+from dronemon.vision.detector import Detector
 from dronemon.vision.drawn import DrawnDetector
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene

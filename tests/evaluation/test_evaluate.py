@@ -20,7 +20,7 @@ from dronemon.belief import episode_metrics
 from dronemon.errors import OptionError, RecordError
 from dronemon.evaluation import Options, PlannerSpec, Result, evaluate
 from dronemon.evaluation.command import evaluate_command
-from dronemon.evaluation.results import ResultsFile
+from dronemon.evaluation.results import load_results
 from dronemon.version import code_version
 
 QUIET = Console(quiet=True)
@@ -98,7 +98,7 @@ def test_line_that_was_cut_off_is_flown_again(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     path.write_bytes(path.read_bytes()[:-30])
     assert outcome(evaluate(options(tmp_path), QUIET)) == outcome(first)
-    assert len(ResultsFile(path).load()) == 4
+    assert len(load_results(path)) == 4
 
 
 def test_other_settings_are_other_episodes(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_run_that_was_ended_leaves_no_process_and_goes_on_where_it_was(
     if end == signal.SIGTERM:
         assert said.splitlines()[-1].startswith(f"stopped; finished episodes are in {out}"), said
         assert "Traceback" not in said
-    done = len(ResultsFile(path).load())
+    done = len(load_results(path))
     assert 0 < done < 4000, said
     kept = path.read_bytes()
     wanted = options(out, planners=(PlannerSpec(kind="tsp"),), instances=done + 2)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
+from dronemon.card import read_card
 from dronemon.errors import CheckpointMismatch
 from dronemon.policy import (
     Card,
@@ -53,7 +54,7 @@ def test_network_and_card_come_back(saved: Path) -> None:
 
 
 def test_the_card_is_a_page() -> None:
-    page = CARD.markdown("small", SMALL)
+    page = CARD.markdown("small", asdict(SMALL))
     assert "`dronemon train --recipe expert`" in page
     assert "| 2 | 0.75 |" in page
 
@@ -75,6 +76,18 @@ def test_what_lies_outside_training_is_said(mission: dict[str, Any], sentence: s
     said = CARD.scope.outside(**{**usual, **mission})
     assert len(said) == (sentence is not None)
     assert not said or said[0].startswith(str(sentence))
+
+
+def test_the_card_is_read_from_a_whole_file_without_its_weights(saved: Path) -> None:
+    assert read_card(saved) == CARD
+    content = bytearray(saved.read_bytes())
+    content[len(content) // 2] ^= 0x55
+    saved.write_bytes(content)
+    with pytest.raises(CheckpointMismatch, match="damaged"):
+        read_card(saved)
+    saved.write_text("notes")
+    with pytest.raises(CheckpointMismatch, match="not a readable checkpoint"):
+        read_card(saved)
 
 
 def test_another_network_is_refused(saved: Path) -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.types import APPEARANCES, CameraModel, Detection, Pose
-from dronemon.vision import observe
 from dronemon.vision.drawn import DrawnDetector
+from dronemon.vision.observe import observe
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dronemon.types import Pose
-from dronemon.vision import interpolate_pose
+from dronemon.vision.project import interpolate_pose
 
 ANGLES = st.floats(-math.pi, math.pi)
 
