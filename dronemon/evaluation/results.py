@@ -59,8 +59,9 @@ class Result:
     def from_json(cls, line: str) -> Result:
         """Read a line that `as_json` wrote. Raises ValueError, KeyError or TypeError otherwise."""
         record: dict[str, Any] = {"code": UNKNOWN_CODE, **json.loads(line)}
-        told: dict[str, Any] = record["scores"]
-        scores = {n: math.nan if value is None else value for n, value in told.items()}
+        scores: dict[str, Any] = {
+            name: math.nan if value is None else value for name, value in record["scores"].items()
+        }
         record |= {
             "cell": Cell(
                 prior=record.pop("prior"),

@@ -87,6 +87,5 @@ def _anchor_files(data: dict[str, Any], folder: Path) -> None:
         ("camera", "url", is_video_file),
     ):
         given = data.get(section)
-        name = given.get(key) if isinstance(given, dict) else None
-        if isinstance(name, str) and is_file(name):
+        if isinstance(given, dict) and isinstance(name := given.get(key), str) and is_file(name):
             given[key] = str((folder / name).absolute())
