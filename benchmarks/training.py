@@ -41,7 +41,7 @@ def main() -> int:
     config = replace(
         PpoConfig(), episodes_per_iteration=options.episodes, decisions=options.decisions
     )
-    ppo = Ppo(network, config, seed=0, device=device, peers=Peers())
+    ppo = Ppo(network, config, Peers(device=device), 0)
     rows = [ppo.iterate(0.0) for _ in range(options.iterations)]
     total = sum(row["decisions"] for row in rows)
     play_s, learn_s = (sum(row[name] for row in rows) for name in ("play_s", "learn_s"))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import scaled_dot_product_attention
 
 from dronemon.policy.features import Graphs
 from dronemon.policy.layers import LEG_AU, NetworkConfig, Projections, Residual, rows
@@ -57,14 +56,8 @@ class Decoder(nn.Module):
             full = features.to(self.distance.weight.dtype)
             placed = self.distance(torch.cat([full, measures], dim=-1))
             current, neighbours = placed[:, :, :1], placed[:, :, 1:]
-            maps = self.attention
-            mixed = scaled_dot_product_attention(
-                maps.heads(maps.query(current)),
-                maps.heads(maps.key(neighbours)),
-                maps.heads(maps.value(neighbours)),
-                attn_mask=mask[:, :, None, None],
-            )
-            chosen = self.residual(current, maps.out(mixed.transpose(-3, -2).flatten(-2)))
+            attended = self.attention.attend(current, neighbours, mask[:, :, None, None])
+            chosen = self.residual(current, attended)
             scores = self.pointer_query(chosen) @ self.pointer_key(neighbours).transpose(-1, -2)
             logits = CLIP * torch.tanh(scores[:, :, 0] / math.sqrt(placed.shape[-1]))
             return Verdict(

@@ -9,7 +9,6 @@ import math
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import scaled_dot_product_attention
 
 from dronemon.policy.features import Graphs
 from dronemon.policy.layers import LEG_AU, NetworkConfig, Projections, Residual, rows, take
@@ -117,8 +116,7 @@ class TemporalEncoder(nn.Module):
         weights = scores.softmax(-1)
         age = flown[..., None, :, None] - (weights * past).sum(-1, keepdim=True)
         mixed = weights @ values + age * maps.split(maps.value(rate))[:, None]
-        attended = maps.out(mixed.transpose(-3, -2).flatten(-2))
-        result: Tensor = self.residual(features, attended)
+        result: Tensor = self.residual(features, maps.join(mixed))
         return result
 
 
@@ -177,7 +175,7 @@ class SpatialEncoder(nn.Module):
         mixed = weights @ maps.heads(maps.value(features))
         if self.ways is not None:
             mixed = mixed + self.ways.values(weights, closeness)
-        result: Tensor = self.residual(asking, maps.out(mixed.transpose(-3, -2).flatten(-2)))
+        result: Tensor = self.residual(asking, maps.join(mixed))
         return result
 
 
@@ -256,14 +254,8 @@ class TrackEncoder(nn.Module):
         """
         offsets = _offsets(tracks, places)  # (B, L, q, N, O)
         tokens = torch.relu(self.own(torch.cat([tracks, offsets[:, :, 0]], dim=-1)))
-        maps, mask = self.attention, target_mask[:, None, None, None]
-        mixed = scaled_dot_product_attention(
-            maps.heads(maps.query(tokens)),
-            maps.heads(maps.key(tokens)),
-            maps.heads(maps.value(tokens)),
-            attn_mask=torch.where(mask, 0.0, _HIDDEN).to(tokens.dtype),
-        )
-        tokens = self.targets(tokens, maps.out(mixed.transpose(-3, -2).flatten(-2)))
+        mask = torch.where(target_mask[:, None, None, None], 0.0, _HIDDEN).to(tokens.dtype)
+        tokens = self.targets(tokens, self.attention.attend(tokens, tokens, mask))
         pairs = torch.relu(self.offsets(offsets) + tokens[:, :, None])
         pairs = torch.relu(self.pair(pairs))  # (B, L, q, N, d)
         is_there = target_mask[:, None, None, :, None]

@@ -13,7 +13,7 @@ Source: paper, section IV-A (observation) and IV-B (average pooling, trajectory 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -21,7 +21,6 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from dronemon.policy.tracks import mirrored_tracks
-from dronemon.problem import WINDOW_AU
 
 
 def belief_features(
@@ -129,11 +128,14 @@ class Graphs:
 
     def select(self, episodes: Tensor) -> Graphs:
         """Some of the roadmaps. episodes: (b,) int64."""
-        return Graphs(**{f.name: getattr(self, f.name)[episodes] for f in fields(self)})
+        return self._each(lambda tensor: tensor[episodes])
 
     def to(self, device: torch.device) -> Graphs:
         """The same roadmaps on another device."""
-        return Graphs(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+        return self._each(lambda tensor: tensor.to(device))
+
+    def _each(self, do: Callable[[Tensor], Tensor]) -> Graphs:
+        return Graphs(**{f.name: do(getattr(self, f.name)) for f in fields(self)})
 
     def mirrored(self, symmetries: Tensor) -> Graphs:
         """The same roadmaps seen in a turned or mirrored square: only coordinates change.
@@ -164,42 +166,17 @@ class Segment:
     nodes: Tensor
     tracks: Tensor
 
-    @classmethod
-    def of(
-        cls,
-        graphs: Graphs,
-        frames: Tensor,
-        target_mask: Tensor,
-        lengths_au: Tensor,
-        nodes: Tensor,
-        tracks: Tensor,
-    ) -> Segment:
-        """Whole episodes, from the lengths (B, L) in au flown at each decision."""
-        return cls(
-            graphs=graphs,
-            frames=frames,
-            target_mask=target_mask,
-            flown=(lengths_au / WINDOW_AU).to(frames.dtype),
-            nodes=nodes,
-            tracks=tracks,
-        )
-
     def select(self, episodes: Tensor) -> Segment:
         """Some of the episodes. episodes: (b,) int64."""
-        tensors = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "graphs"}
-        chosen = {name: tensor[episodes] for name, tensor in tensors.items()}
-        return Segment(graphs=self.graphs.select(episodes), **chosen)
+        return self._each(self.graphs.select(episodes), lambda tensor: tensor[episodes])
 
     def to(self, device: torch.device) -> Segment:
         """The same episodes on another device, in float32."""
-        return Segment(
-            graphs=self.graphs.to(device),
-            frames=self.frames.to(device).float(),
-            target_mask=self.target_mask.to(device),
-            flown=self.flown.to(device).float(),
-            nodes=self.nodes.to(device),
-            tracks=self.tracks.to(device).float(),
-        )
+
+        def sent(tensor: Tensor) -> Tensor:
+            return tensor.to(device, torch.float32 if tensor.is_floating_point() else None)
+
+        return self._each(self.graphs.to(device), sent)
 
     def mirrored(self, symmetries: Tensor) -> Segment:
         """The same episodes in a turned or mirrored square; see `Graphs.mirrored`."""
@@ -208,3 +185,7 @@ class Segment:
             graphs=self.graphs.mirrored(symmetries),
             tracks=mirrored_tracks(self.tracks, symmetries),
         )
+
+    def _each(self, graphs: Graphs, do: Callable[[Tensor], Tensor]) -> Segment:
+        names = [f.name for f in fields(self) if f.name != "graphs"]
+        return Segment(graphs=graphs, **{name: do(getattr(self, name)) for name in names})

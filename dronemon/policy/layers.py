@@ -7,6 +7,7 @@ from typing import Literal
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import scaled_dot_product_attention
 
 from dronemon.errors import PolicyError
 
@@ -74,6 +75,17 @@ class Projections(nn.Module):
         """(..., n, d) -> (..., H, n, d / H)."""
         split = features.view(*features.shape[:-1], self.num_heads, -1)
         return split.transpose(-3, -2)
+
+    def join(self, mixed: Tensor) -> Tensor:
+        """What all heads found, put out. (..., H, n, d / H) -> (..., n, d)."""
+        out: Tensor = self.out(mixed.transpose(-3, -2).flatten(-2))
+        return out
+
+    def attend(self, asking: Tensor, asked: Tensor, mask: Tensor) -> Tensor:
+        """What (..., n, d) find in (..., m, d). mask: (..., m) true or 0 where -> (..., n, d)."""
+        query, key = self.heads(self.query(asking)), self.heads(self.key(asked))
+        value = self.heads(self.value(asked))
+        return self.join(scaled_dot_product_attention(query, key, value, attn_mask=mask))
 
     def split(self, weight: Tensor) -> Tensor:
         """Rows of a weight by head. (d, ...) -> (H, d / H, ...)."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dronemon.training.recipe import load_recipe
-from dronemon.training.train import METRICS, Plan, train
+from dronemon.training.train import METRICS, Listener, Plan, train
 from dronemon.workers import num_cores
 
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt
@@ -73,10 +74,9 @@ def train_command(
     _keep_freed_memory()
     if "WORLD_SIZE" in os.environ:
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
-    command = _command()
     console = Console(quiet=os.environ.get("RANK", "0") != "0")
-    with _Display(console) as display:
-        best = train(plan, command=command, listen=display)
+    with _display(console) as display:
+        best = train(plan, command=_command(), listen=display)
     if best.exists():
         console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
 
@@ -99,35 +99,19 @@ def _keep_freed_memory() -> None:
         libc.mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
 
 
-class _Display:
+@contextmanager
+def _display(console: Console) -> Iterator[Listener]:
     """A progress bar over the time budget, and a line for each iteration."""
+    percent = TextColumn("{task.percentage:3.0f} %")
+    columns = TextColumn("training"), BarColumn(), percent, TimeRemainingColumn()
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("training", total=1.0)
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._progress = Progress(
-            TextColumn("training"),
-            BarColumn(),
-            TextColumn("{task.percentage:3.0f} %"),
-            TimeRemainingColumn(),
-            console=console,
-        )
-        self._task = self._progress.add_task("training", total=1.0)
+        def show(progress: float, metrics: Mapping[str, float]) -> None:
+            assert metrics.keys() <= METRICS.keys(), metrics.keys() - METRICS.keys()
+            shown = [f"{name} {metrics[name]:.4g}" for name in _SHOWN if name in metrics]
+            iteration = f"{metrics['minutes']:6.1f} min  iteration {metrics['iteration']:.0f}"
+            bar.update(task, completed=min(1.0, progress))
+            console.print("  ".join([iteration, *shown]), highlight=False, soft_wrap=True)
 
-    def __enter__(self) -> _Display:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def __call__(self, progress: float, metrics: Mapping[str, float]) -> None:
-        """Show an iteration."""
-        assert metrics.keys() <= METRICS.keys(), metrics.keys() - METRICS.keys()
-        shown = [f"{name} {metrics[name]:.4g}" for name in _SHOWN if name in metrics]
-        self._progress.update(self._task, completed=min(1.0, progress))
-        self._console.print(
-            f"{metrics['minutes']:6.1f} min  iteration {metrics['iteration']:.0f}  "
-            + "  ".join(shown),
-            highlight=False,
-            soft_wrap=True,
-        )
+        yield show

@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -33,7 +34,6 @@ from dronemon.policy import (
     write_atomically,
 )
 from dronemon.problem import FIRST_TRAINING_SEED
-from dronemon.training.gae import advantages
 from dronemon.training.lessons import Lesson, teach
 from dronemon.training.peers import Peers
 from dronemon.training.ppo import (
@@ -47,7 +47,9 @@ from dronemon.training.ppo import (
     Speeds,
     entropy,
     in_precision,
-    scaled_rewards,
+    mean_over,
+    progress_of,
+    unended_advantages,
 )
 from dronemon.workers import share_out
 
@@ -124,25 +126,23 @@ class Expert:
         self,
         network: PolicyNetwork,
         config: ExpertConfig,
-        *,
-        seed: int,
-        device: torch.device,
         peers: Peers,
+        seed: int,
+        *,
         folder: Path,
         num_workers: int,
     ) -> None:
         self.network = network
         self.config = config
-        self._seed = seed
-        self._device = device
         self._peers = peers
+        self._seed = seed
         self._folder = folder
         self._num_workers = num_workers
         self._lessons: list[Lesson] = []
         self._files: list[list[str]] = []  # of each round, over all processes
         self._num_updates = 0
         self._optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
-        self._finish = Ppo(network, config.finish, seed=seed, device=device, peers=peers)
+        self._finish = Ppo(network, config.finish, peers, seed)
         self.average = self._finish.average
 
     def state(self) -> dict[str, Any]:
@@ -171,19 +171,10 @@ class Expert:
         self._lessons += taken
         played = time.perf_counter()
         metrics = self._learn(progress / self.config.imitation_share)
-        learned = time.perf_counter()
-        count = sum(lesson.gains[..., 0].numel() for lesson in taken) * self._peers.size
-        return {
-            **metrics,
-            **_judgement(taken),
-            "unc": float(torch.cat([lesson.rollout.unc for lesson in taken]).mean()),
-            "reward": float(torch.cat([lesson.rollout.rewards for lesson in taken]).mean()),
-            "episodes": float(sum(len(lesson.gains) for lesson in self._lessons)),
-            "decisions": float(count),
-            "play_s": played - began,
-            "learn_s": learned - played,
-            "decisions_per_s": count / (learned - began),
-        }
+        metrics["episodes"] = float(sum(len(lesson.gains) for lesson in self._lessons))
+        rollouts = [lesson.rollout for lesson in taken]
+        common = progress_of(rollouts, self._peers, began, played)
+        return metrics | _judgement(taken) | common
 
     def _take_lessons(self) -> list[Lesson]:
         """Own share of a round, given by worker processes; each lesson is a file."""
@@ -193,17 +184,10 @@ class Expert:
         save_checkpoint(student, self.network, _NO_CARD)
         count = size * math.ceil(config.round_episodes / config.lesson_episodes / size)
         files = [f"round-{number:04d}-{part:02d}.pt" for part in range(count)]
-        jobs = [
-            _Job(
-                config=config,
-                student=student,
-                path=self._folder / files[part],
-                seed=(self._seed, number, part),
-                taught_share=config.taught_share(number),
-            )
-            for part in self._own(range(count))
-        ]
-        for _ in share_out(_Job.do, jobs, max(1, self._num_workers // size)):
+        give = partial(_give, config, student, config.taught_share(number))
+        own = self._own(range(count))
+        jobs = [((self._seed, number, part), self._folder / files[part]) for part in own]
+        for _ in share_out(give, jobs, max(1, self._num_workers // size)):
             pass
         self._files.append(files)
         return [self._read(name) for name in self._own(files)]
@@ -225,17 +209,15 @@ class Expert:
         rate = config.final_learning_rate + cosine * (
             config.learning_rate - config.final_learning_rate
         )
-        sums: dict[str, Tensor] = {}
+        updates = []
         for _ in range(config.updates):
             warm = min(1.0, (self._num_updates + 1) / config.warmup_updates)
             for group in self._optimizer.param_groups:
                 group["lr"] = rate * warm
             chosen = rng.choice(len(episodes), size=size, replace=False)
-            for name, value in self._update([episodes[i] for i in chosen], rng).items():
-                sums[name] = sums.get(name, torch.zeros_like(value)) + value
+            updates.append(self._update([episodes[i] for i in chosen], rng))
             self._num_updates += 1
-        means = {name: float(value) / config.updates for name, value in sums.items()}
-        return {**means, "learning_rate": rate}
+        return {**mean_over(updates), "learning_rate": rate}
 
     def _update(
         self, chosen: Sequence[tuple[Lesson, int]], rng: np.random.Generator
@@ -255,23 +237,20 @@ class Expert:
         self, lesson: Lesson, index: int, count: int, rng: np.random.Generator
     ) -> dict[str, Tensor]:
         """Add the gradient of one of `count` episodes whose mean loss a step reduces."""
-        config = self.config
+        config, device = self.config, self._peers.device
         episode, rollout = torch.tensor([index]), lesson.rollout
-        segment = rollout.segment.select(episode).to(self._device)
+        segment = rollout.segment.select(episode).to(device)
         if config.symmetries:
-            segment = segment.mirrored(torch.as_tensor(rng.integers(8, size=1)).to(self._device))
-        gains = lesson.gains[episode].to(self._device)
+            segment = segment.mirrored(torch.as_tensor(rng.integers(8, size=1)).to(device))
+        gains = lesson.gains[episode].to(device)
         history = int(rng.integers(config.history[0], config.history[1] + 1))
-        with in_precision(config.precision, self._device):
+        with in_precision(config.precision, device):
             verdict = self.network(segment, history)
         targets = (gains / (config.temperature * _largest(gains))).softmax(-1)
         log_chances = verdict.logits.log_softmax(-1).masked_fill(gains.isinf(), 0.0)
         loss = -(targets * log_chances).sum(-1).mean()
-        rewards = scaled_rewards(rollout, config.finish)
-        never = torch.zeros_like(rewards, dtype=torch.bool)
-        discount = config.finish.discount
-        returns = advantages(rewards, rollout.values, never, discount, 1.0) + rollout.values[:, :-1]
-        value_loss = (verdict.value - returns[episode].to(self._device)).square().mean()
+        returns = unended_advantages(rollout, config.finish, 1.0) + rollout.values[:, :-1]
+        value_loss = (verdict.value - returns[episode].to(device)).square().mean()
         torch.autograd.backward((loss + config.value_weight * value_loss) / count)
         return {
             "imitation_loss": loss.detach(),
@@ -299,43 +278,33 @@ def _judgement(lessons: Sequence[Lesson]) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Job:
-    """A lesson to give; everything follows from its seed."""
-
-    config: ExpertConfig
-    student: Path
-    path: Path
-    seed: tuple[int, ...]
-    taught_share: float
-
-    def do(self) -> None:
-        """Give the lesson and write it down."""
-        config, count = self.config, self.config.lesson_episodes
-        rng = np.random.default_rng(self.seed)
-        num_nodes, history, num_targets = (
-            int(rng.integers(low, high + 1))
-            for low, high in (config.num_nodes, config.history, config.num_targets)
+def _give(
+    config: ExpertConfig, student: Path, taught_share: float, job: tuple[tuple[int, ...], Path]
+) -> None:
+    """Give the lesson that follows from a seed and write it to a file."""
+    (seed, path), count = job, config.lesson_episodes
+    rng = np.random.default_rng(seed)
+    num_nodes, history, num_targets = (
+        int(rng.integers(low, high + 1))
+        for low, high in (config.num_nodes, config.history, config.num_targets)
+    )
+    setups = [
+        Setup(
+            seed=FIRST_TRAINING_SEED + int(rng.integers(2**40)),
+            num_targets=num_targets,
+            num_nodes=num_nodes,
+            speed_ratio=float(rng.uniform(*config.speed_ratio)),
         )
-        setups = [
-            Setup(
-                seed=FIRST_TRAINING_SEED + int(rng.integers(2**40)),
-                num_targets=num_targets,
-                num_nodes=num_nodes,
-                speed_ratio=float(rng.uniform(*config.speed_ratio)),
-            )
-            for _ in range(count)
-        ]
-        lesson = teach(
-            load_checkpoint(self.student).network,
-            setups,
-            is_taught=(rng.random(count) < self.taught_share).tolist(),
-            is_greedy=(rng.random(count) < config.greedy_share).tolist(),
-            history=history,
-            num_decisions=config.decisions,
-            settings=SearchSettings(
-                num_drawn=config.teacher_drawn, num_refined=config.teacher_refined
-            ),
-            rng=torch.Generator().manual_seed(int(rng.integers(2**60))),
-        )
-        write_atomically(self.path, lesson.to_parts())
+        for _ in range(count)
+    ]
+    lesson = teach(
+        load_checkpoint(student).network,
+        setups,
+        is_taught=(rng.random(count) < taught_share).tolist(),
+        is_greedy=(rng.random(count) < config.greedy_share).tolist(),
+        history=history,
+        num_decisions=config.decisions,
+        settings=SearchSettings(num_drawn=config.teacher_drawn, num_refined=config.teacher_refined),
+        rng=torch.Generator().manual_seed(int(rng.integers(2**60))),
+    )
+    write_atomically(path, asdict(lesson))

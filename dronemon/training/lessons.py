@@ -8,7 +8,7 @@ the best path by way of each neighbour would gain.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,20 +45,12 @@ class Lesson:
     rollout: Rollout
     gains: Tensor
 
-    def to_parts(self) -> dict[str, Any]:
-        """As nested tensors and numbers, which a file can hold."""
-        rollout = _parts(self.rollout)
-        rollout["segment"] = _parts(self.rollout.segment)
-        rollout["segment"]["graphs"] = _parts(self.rollout.segment.graphs)
-        return {"rollout": rollout, "gains": self.gains}
-
     @classmethod
     def from_parts(cls, parts: dict[str, Any]) -> Lesson:
-        """What `to_parts` took apart."""
+        """What `asdict` took apart for a file."""
         rollout, segment = parts["rollout"], parts["rollout"]["segment"]
-        graphs = Graphs(**segment["graphs"])
-        whole = Segment(**{**segment, "graphs": graphs})
-        return cls(rollout=Rollout(**{**rollout, "segment": whole}), gains=parts["gains"])
+        whole = Segment(**segment | {"graphs": Graphs(**segment["graphs"])})
+        return cls(rollout=Rollout(**rollout | {"segment": whole}), gains=parts["gains"])
 
 
 class Teacher:
@@ -156,8 +148,3 @@ def teach(
     )
     segment = replace(rollout.segment, frames=rollout.segment.frames.half())
     return Lesson(rollout=replace(rollout, segment=segment), gains=torch.stack(gains, dim=1))
-
-
-def _parts(value: Rollout | Segment | Graphs) -> dict[str, Any]:
-    """The fields of a dataclass, not taken apart further."""
-    return {f.name: getattr(value, f.name) for f in fields(value)}

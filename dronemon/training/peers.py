@@ -16,6 +16,7 @@ from torch import nn
 class Peers:
     """One process among those that train together."""
 
+    device: torch.device
     rank: int = 0
     size: int = 1
 
@@ -42,27 +43,28 @@ class Peers:
             for value in network.state_dict().values():
                 dist.broadcast(value, src=0)
 
-    def agree(self, metrics: Mapping[str, float], device: torch.device) -> dict[str, float]:
+    def agree(self, metrics: Mapping[str, float]) -> dict[str, float]:
         """The mean of all processes' numbers, which have the same names."""
         if self.size == 1:
             return dict(metrics)
-        values = torch.tensor(list(metrics.values()), dtype=torch.float64, device=device)
+        values = torch.tensor(list(metrics.values()), dtype=torch.float64, device=self.device)
         dist.all_reduce(values)
         return dict(zip(metrics, (values / self.size).tolist(), strict=True))
 
 
 @contextmanager
-def join_peers(device: torch.device) -> Iterator[Peers]:
-    """The processes that torchrun started, or this one alone."""
+def join_peers(device_name: str) -> Iterator[Peers]:
+    """The processes that torchrun started, or this one alone, each on its own device."""
+    device = own_device(device_name)
     size = int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
-        yield Peers()
+        yield Peers(device=device)
         return
     if device.type == "cuda":
         torch.cuda.set_device(device)
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
-        yield Peers(rank=dist.get_rank(), size=size)
+        yield Peers(device=device, rank=dist.get_rank(), size=size)
     finally:
         dist.destroy_process_group()
 

@@ -7,6 +7,7 @@ device; several processes each play and learn from their own episodes and averag
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -81,22 +82,13 @@ class PpoConfig:
 class Ppo:
     """Reinforcement learning from scratch, or from given weights."""
 
-    def __init__(
-        self,
-        network: PolicyNetwork,
-        config: PpoConfig,
-        *,
-        seed: int,
-        device: torch.device,
-        peers: Peers,
-    ) -> None:
+    def __init__(self, network: PolicyNetwork, config: PpoConfig, peers: Peers, seed: int) -> None:
         self.network = network
         # Differs from STAMP: what is judged and kept is an average, which wavers less.
         self.average = AveragedModel(network, avg_fn=_averaged)
         self.config = config
-        self._seed = seed
-        self._device = device
         self._peers = peers
+        self._seed = seed
         self._num_iterations = 0
         self._optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
 
@@ -125,25 +117,15 @@ class Ppo:
         played = time.perf_counter()
         metrics = self.learn(rollout)
         self._num_iterations += 1
-        learned = time.perf_counter()
-        count = rollout.actions.numel() * self._peers.size
-        return {
-            **metrics,
-            "unc": float(rollout.unc.mean()),
-            "reward": float(rollout.rewards.mean()),
-            "learning_rate": self._optimizer.param_groups[0]["lr"],
-            "decisions": float(count),
-            "play_s": played - began,
-            "learn_s": learned - played,
-            "decisions_per_s": count / (learned - began),
-        }
+        metrics["learning_rate"] = self._optimizer.param_groups[0]["lr"]
+        return metrics | progress_of([rollout], self._peers, began, played)
 
     def play(self) -> Rollout:
         """Play the share of the iteration's episodes that falls to this process."""
         config = self.config
         # All randomness follows from seed and iteration, so a resumed run plays the same episodes.
         common = np.random.default_rng([self._seed, self._num_iterations])
-        own = torch.Generator(self._device)
+        own = torch.Generator(self._peers.device)
         own.manual_seed(int(common.integers(2**48)) * self._peers.size + self._peers.rank)
         first = self._num_iterations * config.episodes_per_iteration
         share = max(1, config.episodes_per_iteration // self._peers.size)
@@ -161,33 +143,25 @@ class Ppo:
             )
             for i in range(share)
         ]
-        env = Env(max_decisions=config.decisions, device=self._device)
-        return play(
-            self.network,
-            env,
-            setups,
-            history=history,
-            num_decisions=config.decisions,
-            choose=sampled(own),
-        )
+        length, choose = config.decisions, sampled(own)
+        env = Env(max_decisions=length, device=self._peers.device)
+        return play(self.network, env, setups, history=history, num_decisions=length, choose=choose)
 
     def learn(self, rollout: Rollout) -> dict[str, float]:
         """Several passes over the episodes, a few of them at a time."""
-        config = self.config
-        rewards = scaled_rewards(rollout, config)
-        never = torch.zeros_like(rewards, dtype=torch.bool)
-        gains = advantages(rewards, rollout.values, never, config.discount, config.lam)
+        config, device = self.config, self._peers.device
+        gains = unended_advantages(rollout, config, config.lam)
         returns = gains + rollout.values[:, :-1]
         gains = (gains - gains.mean()) / (gains.std() + 1e-6)
         old = _log_chance(rollout.logits, rollout.actions)
         order = torch.Generator().manual_seed(self._num_iterations)
-        sums: dict[str, Tensor] = {}
-        steps, batches = 0, max(1, len(rewards) // config.minibatch_episodes)
+        updates: list[dict[str, Tensor]] = []
+        batches = max(1, len(gains) // config.minibatch_episodes)
         for _ in range(config.epochs):
-            shuffled = torch.randperm(len(rewards), generator=order).to(self._device)
+            shuffled = torch.randperm(len(gains), generator=order).to(device)
             for episodes in torch.tensor_split(shuffled, batches):
                 segment: Segment = rollout.segment.select(episodes)
-                with in_precision(config.precision, self._device):
+                with in_precision(config.precision, device):
                     verdict: Verdict = self.network(segment, rollout.history)
                 log_chance = _log_chance(verdict.logits, rollout.actions[episodes])
                 log_ratio = log_chance - old[episodes]
@@ -205,17 +179,44 @@ class Ppo:
                 gradient = nn.utils.clip_grad_norm_(self.network.parameters(), config.max_gradient)
                 self._optimizer.step()
                 self.average.update_parameters(self.network)
-                steps += 1
-                for name, value in {
+                numbers = {
                     "policy_loss": policy_loss,
                     "value_loss": value_loss,
                     "entropy": spread,
                     "gradient": gradient,
                     "kl": (ratio - 1.0 - log_ratio).mean(),
                     "clipped": (ratio != clipped).float().mean(),
-                }.items():
-                    sums[name] = sums.get(name, torch.zeros_like(value)) + value.detach()
-        return {name: float(value) / steps for name, value in sums.items()}
+                }
+                updates.append({name: value.detach() for name, value in numbers.items()})
+        return mean_over(updates)
+
+
+def mean_over(updates: Sequence[Mapping[str, Tensor]]) -> dict[str, float]:
+    """The mean of each number over updates that all tell it."""
+    return {name: float(sum(u[name] for u in updates)) / len(updates) for name in updates[0]}
+
+
+def progress_of(
+    rollouts: Sequence[Rollout], peers: Peers, began_s: float, played_s: float
+) -> dict[str, float]:
+    """What an iteration played and how long it took, which ends now."""
+    learned_s = time.perf_counter()
+    count = sum(r.actions.numel() for r in rollouts) * peers.size
+    return {
+        "unc": float(torch.cat([r.unc for r in rollouts]).mean()),
+        "reward": float(torch.cat([r.rewards for r in rollouts]).mean()),
+        "decisions": float(count),
+        "play_s": played_s - began_s,
+        "learn_s": learned_s - played_s,
+        "decisions_per_s": count / (learned_s - began_s),
+    }
+
+
+def unended_advantages(rollout: Rollout, config: PpoConfig, lam: float) -> Tensor:
+    """How much better each decision of episodes that go on turned out. -> (B, L)."""
+    rewards = scaled_rewards(rollout, config)
+    never = torch.zeros_like(rewards, dtype=torch.bool)
+    return advantages(rewards, rollout.values, never, config.discount, lam)
 
 
 def scaled_rewards(rollout: Rollout, config: PpoConfig) -> Tensor:

@@ -79,12 +79,11 @@ def _read(path: Path) -> Recipe:
     document = Document.read(path, "recipe file")
     learns_alone = document.data.get("learner") == "ppo"
     default = Recipe(settings=PpoConfig() if learns_alone else ExpertConfig())
-    given = document.validate(_model_of(default))
+    given = document.validate(_model_of(default)).model_dump(exclude_unset=True)
     try:
-        recipe = _changed(default, given)
+        recipe: Recipe = _changed(default, given)
     except PolicyError as exc:
         raise document.error(("network",), str(exc)) from exc
-    assert isinstance(recipe, Recipe)
     return recipe
 
 
@@ -98,13 +97,7 @@ def _model_of(config: Any) -> type[BaseModel]:
     return create_model(type(config).__name__, __config__=_STRICT, **allowed)
 
 
-def _changed(config: Any, given: BaseModel) -> Any:
-    """A dataclass with the values that were given."""
-    values = {name: getattr(given, name) for name in given.model_fields_set}
-    return replace(
-        config,
-        **{
-            name: _changed(getattr(config, name), value) if isinstance(value, BaseModel) else value
-            for name, value in values.items()
-        },
-    )
+def _changed(config: Any, given: dict[str, Any]) -> Any:
+    """A dataclass, and those in it, with the values that were given."""
+    nested = {n: _changed(getattr(config, n), v) for n, v in given.items() if isinstance(v, dict)}
+    return replace(config, **given | nested)

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from dronemon.env import Env, Observation, Setup
-from dronemon.policy import Graphs, History, PolicyNetwork, Segment, Verdict
+from dronemon.policy import History, PolicyNetwork, Segment, Verdict
+from dronemon.problem import WINDOW_AU
 
 Chooser = Callable[[Verdict, Observation], Tensor]
 """Picks neighbours: the network's verdict and what is observed -> (B,) columns of `neighbours`."""
@@ -72,9 +73,17 @@ def play(
         observation = step.observation
     lengths_au = torch.stack([o.length_au for o in [*seen, observation]], dim=1)
     last = _judge(memory, observation)
+    frames = torch.stack([o.frames for o in seen], dim=1)
     return Rollout(
         history=history,
-        segment=_segment(graphs, seen, lengths_au[:, :-1]),
+        segment=Segment(
+            graphs=graphs,
+            frames=frames,
+            target_mask=seen[-1].target_mask,  # knows every target that any did
+            flown=(lengths_au[:, :-1] / WINDOW_AU).to(frames.dtype),
+            nodes=torch.stack([o.node for o in seen], dim=1),
+            tracks=torch.stack([o.tracks for o in seen], dim=1),
+        ),
         actions=torch.stack(actions, dim=1),
         logits=torch.cat([v.logits for v in verdicts], dim=1),
         values=torch.cat([v.value for v in [*verdicts, last]], dim=1),
@@ -82,15 +91,6 @@ def play(
         area_std=torch.stack(area_std, dim=1).float(),
         legs_au=lengths_au.diff(dim=1).float(),
     )
-
-
-def _segment(graphs: Graphs, seen: Sequence[Observation], lengths_au: Tensor) -> Segment:
-    """What the network saw; the last observation knows every target that any did."""
-    frames, nodes, tracks = (
-        torch.stack(values, dim=1)
-        for values in zip(*((o.frames, o.node, o.tracks) for o in seen), strict=True)
-    )
-    return Segment.of(graphs, frames, seen[-1].target_mask, lengths_au, nodes, tracks)
 
 
 def sampled(rng: torch.Generator) -> Chooser:

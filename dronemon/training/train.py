@@ -11,14 +11,14 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
-from torch.optim.swa_utils import AveragedModel
 
 from dronemon.errors import CheckpointMismatch
 from dronemon.policy import (
@@ -32,7 +32,7 @@ from dronemon.policy import (
 )
 from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.training.imitation import Expert
-from dronemon.training.peers import Peers, join_peers, own_device
+from dronemon.training.peers import Peers, join_peers
 from dronemon.training.ppo import Ppo, PpoConfig
 from dronemon.training.recipe import Recipe
 from dronemon.training.validation import validate
@@ -66,32 +66,8 @@ METRICS: dict[str, str] = {
 }
 """Every number that training logs, and what it means."""
 STATE_FORMAT = "dronemon training 3"
-
-
-class Learner(Protocol):
-    """A way to train: `iterate` plays and learns once; the average is what is worth keeping."""
-
-    average: AveragedModel
-
-    def iterate(self, progress: float) -> dict[str, float]:
-        """Play and learn. progress: share of the time budget that is spent -> metrics."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """All that the next iteration depends on, besides the weights."""
-        ...
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on where `state` was taken."""
-        ...
-
-
-class Listener(Protocol):
-    """Hears about a run as it goes."""
-
-    def __call__(self, progress: float, metrics: Mapping[str, float]) -> None:
-        """Take in the metrics of an iteration. progress: share of the time budget spent."""
-        ...
+Listener = Callable[[float, Mapping[str, float]], None]
+"""Hears of each iteration: the share of the time budget that is spent, and its metrics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +106,7 @@ class _Run:
     elapsed_s: float = 0.0
     validated_s: float = 0.0
     best_unc: float = float("inf")
-    curve: list[dict[str, float]] | None = None
+    curve: list[dict[str, float]] = field(default_factory=list)
 
 
 def train(plan: Plan, *, command: str, listen: Listener) -> Path:
@@ -139,65 +115,151 @@ def train(plan: Plan, *, command: str, listen: Listener) -> Path:
     Raises CheckpointMismatch if `plan.out` holds a run of another plan, or the start is unusable.
     """
     code_version()  # for the card: the files may change while it trains
-    device = own_device(plan.device)
-    with join_peers(device) as peers:
-        network = _first_weights(plan).to(device)
-        peers.share_weights(network)
-        learner = _learner(plan, network, device, peers)
-        run = _resume(plan, network, learner)
+    with join_peers(plan.device) as peers:
+        training = _Training(plan, command, peers)
         if peers.is_first:
             plan.out.mkdir(parents=True, exist_ok=True)
             (plan.out / "recipe.yaml").write_text(plan.recipe.text, encoding="utf-8")
-        best = plan.out / "best.pt"
-        budget_s = 60.0 * plan.minutes
-        while run.elapsed_s < budget_s:
-            began = time.monotonic()
-            metrics = peers.agree(learner.iterate(run.elapsed_s / budget_s), device)
-            run.iteration += 1
-            _spend(run, began, peers, device)
-            is_due = run.elapsed_s - run.validated_s >= 60.0 * plan.validation_minutes
-            if is_due or run.elapsed_s >= budget_s:
-                began = time.monotonic()
-                metrics |= _measure(plan, learner, device) if peers.is_first else {}
-                _spend(run, began, peers, device)
-                run.validated_s = run.elapsed_s
-            row = {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
+        while training.progress < 1.0:
+            metrics = training.iterate()
             if peers.is_first:
-                _record(plan, network, learner, run, row, command)
-                listen(run.elapsed_s / budget_s, row)
-        return best
+                training.record(metrics)
+                listen(training.progress, metrics)
+        return training.best
 
 
-def _spend(run: _Run, began_s: float, peers: Peers, device: torch.device) -> None:
-    """Count the time since `began_s`; all processes agree on it, so that all stop together."""
-    spent = {"s": time.monotonic() - began_s}
-    run.elapsed_s += peers.agree(spent, device)["s"]
+class _Training:
+    """A run in the folder of its plan."""
+
+    def __init__(self, plan: Plan, command: str, peers: Peers) -> None:
+        self._plan, self._command, self._peers = plan, command, peers
+        self.best = plan.out / "best.pt"
+        self._network = _first_weights(plan).to(peers.device)
+        peers.share_weights(self._network)
+        self._learner = _learner(plan, self._network, peers)
+        self._run = self._resumed()
+
+    @property
+    def progress(self) -> float:
+        """Share of the time budget that is spent."""
+        return self._run.elapsed_s / (60.0 * self._plan.minutes)
+
+    def iterate(self) -> dict[str, float]:
+        """Play, learn, and validate where that is due. -> metrics, the mean over all processes."""
+        run = self._run
+        with self._counted():
+            metrics = self._peers.agree(self._learner.iterate(self.progress))
+        run.iteration += 1
+        unvalidated_s = run.elapsed_s - run.validated_s
+        if unvalidated_s >= 60.0 * self._plan.validation_minutes or self.progress >= 1.0:
+            with self._counted():
+                metrics |= self._measure() if self._peers.is_first else {}
+            run.validated_s = run.elapsed_s
+        return {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        """Count the time spent; all processes agree on it, so that all stop together."""
+        began_s = time.monotonic()
+        yield
+        spent = self._peers.agree({"s": time.monotonic() - began_s})
+        self._run.elapsed_s += spent["s"]
+
+    @property
+    def _average(self) -> PolicyNetwork:
+        """The network with averaged weights, which is validated and kept."""
+        network = self._learner.average.module
+        assert isinstance(network, PolicyNetwork)
+        return network
+
+    def _measure(self) -> dict[str, float]:
+        plan = self._plan
+        episodes, decisions = plan.validation_episodes, plan.validation_decisions
+        device = self._peers.device
+        return validate(self._average, episodes=episodes, decisions=decisions, device=device)
+
+    def record(self, metrics: dict[str, float]) -> None:
+        """Write what an iteration led to; the state last, since it makes the rest count."""
+        folder, run = self._plan.out, self._run
+        if "val_unc" in metrics:
+            names = ("iteration", "minutes", "val_unc", "val_reward", "val_lost")
+            run.curve.append({name: metrics[name] for name in names})
+            if metrics["val_unc"] < run.best_unc:
+                run.best_unc = metrics["val_unc"]
+                self._keep()
+        with (folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps(metrics) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        state = {
+            "format": STATE_FORMAT,
+            "identity": self._plan.identity,
+            "weights": self._network.state_dict(),
+            "learner": self._learner.state(),
+            "run": asdict(run),
+        }
+        write_atomically(folder / "state.pt", state)
+
+    def _keep(self) -> None:
+        """Write the best weights so far, with their card."""
+        plan, curve = self._plan, self._run.curve
+        last = FIRST_DEVELOPMENT_SEED + plan.validation_episodes - 1
+        card = Card(
+            recipe=plan.recipe.learner,
+            command=self._command,
+            commit=code_version(),
+            date=datetime.now(UTC).strftime("%Y-%m-%d"),
+            seeds=f"root {plan.seed}; chosen on {FIRST_DEVELOPMENT_SEED} to {last}",
+            settings=plan.recipe.facts["settings"],
+            curve=tuple(curve),
+            scores={name: value for name, value in curve[-1].items() if name.startswith("val_")},
+            scope=plan.recipe.scope,
+        )
+        save_checkpoint(self.best, self._average, card)
+        page = card.markdown("best", asdict(self._average.config))
+        self.best.with_suffix(".md").write_text(page, encoding="utf-8")
+
+    def _resumed(self) -> _Run:
+        """Take up the run in the folder, if there is one."""
+        path = self._plan.out / "state.pt"
+        if not path.exists():
+            return _Run()
+        state = read_tensors(path)
+        if state.get("format") != STATE_FORMAT:
+            raise CheckpointMismatch(
+                f"{path}: not the state of a training run; choose another --out"
+            )
+        before, now = state["identity"], self._plan.identity
+        if before != now:
+            name = next(n for n in {**before, **now} if before.get(n) != now.get(n))
+            raise CheckpointMismatch(
+                f"{path}: that run has {name} {before.get(name)}, not {now.get(name)}; repeat its"
+                f" options and its recipe, {path.with_name('recipe.yaml')}, to go on with it, or"
+                " choose another --out"
+            )
+        self._network.load_state_dict(state["weights"])
+        self._learner.restore(state["learner"])
+        run = _Run(**state["run"])
+        _forget_lines(path.with_name("metrics.jsonl"), run.iteration)
+        return run
 
 
 def _first_weights(plan: Plan) -> PolicyNetwork:
     """New weights from the seed, or those of a checkpoint."""
     if plan.start is not None:
-        return load_checkpoint(
-            find_checkpoint(plan.start), expected=plan.recipe.network
-        ).network.train()
+        path = find_checkpoint(plan.start)
+        return load_checkpoint(path, expected=plan.recipe.network).network.train()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(plan.seed)
         return PolicyNetwork(plan.recipe.network)
 
 
-def _learner(plan: Plan, network: PolicyNetwork, device: torch.device, peers: Peers) -> Learner:
+def _learner(plan: Plan, network: PolicyNetwork, peers: Peers) -> Ppo | Expert:
     settings = plan.recipe.settings
     if isinstance(settings, PpoConfig):
-        return Ppo(network, settings, seed=plan.seed, device=device, peers=peers)
-    return Expert(
-        network,
-        settings,
-        seed=plan.seed,
-        device=device,
-        peers=peers,
-        folder=plan.out / "lessons",
-        num_workers=plan.num_workers,
-    )
+        return Ppo(network, settings, peers, plan.seed)
+    folder = plan.out / "lessons"
+    return Expert(network, settings, peers, plan.seed, folder=folder, num_workers=plan.num_workers)
 
 
 def _flat(facts: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
@@ -207,105 +269,6 @@ def _flat(facts: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
         nested = isinstance(value, Mapping)
         flat |= _flat(value, f"{prefix}{key}.") if nested else {prefix + key: value}
     return flat
-
-
-def _resume(plan: Plan, network: PolicyNetwork, learner: Learner) -> _Run:
-    """Take up the run in the folder, if there is one."""
-    path = plan.out / "state.pt"
-    if not path.exists():
-        return _Run(curve=[])
-    state = read_tensors(path)
-    if state.get("format") != STATE_FORMAT:
-        raise CheckpointMismatch(f"{path}: not the state of a training run; choose another --out")
-    if state["identity"] != plan.identity:
-        before, now = state["identity"], plan.identity
-        name = next(n for n in {**before, **now} if before.get(n) != now.get(n))
-        raise CheckpointMismatch(
-            f"{path}: that run has {name} {before.get(name)}, not {now.get(name)}; repeat its"
-            f" options and its recipe, {plan.out / 'recipe.yaml'}, to go on with it, or choose"
-            " another --out"
-        )
-    network.load_state_dict(state["weights"])
-    learner.restore(state["learner"])
-    _forget_lines(plan.out / "metrics.jsonl", state["run"]["iteration"])
-    return _Run(**state["run"])
-
-
-def _average(learner: Learner) -> PolicyNetwork:
-    """The network with averaged weights, which is validated and kept."""
-    network = learner.average.module
-    assert isinstance(network, PolicyNetwork)
-    return network
-
-
-def _measure(plan: Plan, learner: Learner, device: torch.device) -> dict[str, float]:
-    return validate(
-        _average(learner),
-        episodes=plan.validation_episodes,
-        decisions=plan.validation_decisions,
-        device=device,
-    )
-
-
-def _record(
-    plan: Plan,
-    network: PolicyNetwork,
-    learner: Learner,
-    run: _Run,
-    row: dict[str, float],
-    command: str,
-) -> None:
-    """Write what an iteration led to; the state last, since it makes the rest count."""
-    assert run.curve is not None
-    if "val_unc" in row:
-        names = ("iteration", "minutes", "val_unc", "val_reward", "val_lost")
-        run.curve.append({name: row[name] for name in names})
-        if row["val_unc"] < run.best_unc:
-            run.best_unc = row["val_unc"]
-            _keep(plan, learner, run, row, command)
-    with (plan.out / "metrics.jsonl").open("a", encoding="utf-8") as file:
-        file.write(json.dumps(row) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    write_atomically(
-        plan.out / "state.pt",
-        {
-            "format": STATE_FORMAT,
-            "identity": plan.identity,
-            "weights": network.state_dict(),
-            "learner": learner.state(),
-            "run": asdict(run),
-        },
-    )
-
-
-def _keep(
-    plan: Plan,
-    learner: Learner,
-    run: _Run,
-    row: dict[str, float],
-    command: str,
-) -> None:
-    """Write the best weights so far, with their card."""
-    network = _average(learner)
-    card = Card(
-        recipe=plan.recipe.learner,
-        command=command,
-        commit=code_version(),
-        date=datetime.now(UTC).strftime("%Y-%m-%d"),
-        seeds=(
-            f"root {plan.seed}; chosen on {FIRST_DEVELOPMENT_SEED} to"
-            f" {FIRST_DEVELOPMENT_SEED + plan.validation_episodes - 1}"
-        ),
-        settings=plan.recipe.facts["settings"],
-        curve=tuple(run.curve or ()),
-        scores={name: value for name, value in row.items() if name.startswith("val_")},
-        scope=plan.recipe.scope,
-    )
-    save_checkpoint(plan.out / "best.pt", network, card)
-    (plan.out / "best.md").write_text(
-        card.markdown("best", asdict(network.config)), encoding="utf-8"
-    )
 
 
 def _forget_lines(path: Path, count: int) -> None:

@@ -7,7 +7,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from dronemon.policy import NUM_TRACK_FEATURES, Graphs
+from dronemon.policy import NUM_TRACK_FEATURES, Graphs, Segment
+from dronemon.problem import WINDOW_AU
 
 
 def random_graphs(num_nodes: int, num_neighbours: int, rng: torch.Generator) -> Graphs:
@@ -19,6 +20,25 @@ def random_graphs(num_nodes: int, num_neighbours: int, rng: torch.Generator) -> 
         eigenvectors=torch.randn(num_nodes, 32, generator=rng) / num_nodes**0.5,
         neighbours=straight.topk(num_neighbours, largest=False).indices,
         distances=straight * 1.2,
+    )
+
+
+def whole_episodes(
+    graphs: Graphs,
+    frames: Tensor,
+    target_mask: Tensor,
+    lengths_au: Tensor,
+    nodes: Tensor,
+    tracks: Tensor,
+) -> Segment:
+    """Whole episodes, from the lengths (B, L) in au flown at each decision."""
+    return Segment(
+        graphs=graphs,
+        frames=frames,
+        target_mask=target_mask,
+        flown=(lengths_au / WINDOW_AU).to(frames.dtype),
+        nodes=nodes,
+        tracks=tracks,
     )
 
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from instances import random_frames, random_graphs, random_tracks, random_walk
+from instances import random_frames, random_graphs, random_tracks, random_walk, whole_episodes
 from naive_network import naive_verdict
 from torch import Tensor
 
 from dronemon.errors import PolicyError
-from dronemon.policy import Graphs, History, NetworkConfig, PolicyNetwork, Segment
+from dronemon.policy import Graphs, History, NetworkConfig, PolicyNetwork
 from dronemon.policy.tracks import mirrored_tracks
 
 Episodes = tuple[Graphs, Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -112,7 +112,7 @@ def test_outputs_and_gradients_of_a_segment_equal_the_reference(variant: str, hi
     network = make_network(VARIANTS[variant])
     episodes = make_episodes(sizes, length=16, seed=history)
     graphs, frames, mask, lengths_au, nodes, tracks = episodes
-    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, tracks)
+    segment = whole_episodes(graphs, frames, mask, lengths_au, nodes, tracks)
     verdict = network(segment, history)
     logits, values = naive_all(network, episodes, sizes, history)
     torch.testing.assert_close(verdict.logits, logits, rtol=0.0, atol=1e-9)
@@ -147,7 +147,7 @@ def test_single_precision_at_the_papers_width_stays_within_1e_5() -> None:
     network = make_network(NetworkConfig(), torch.float32)
     episodes = make_episodes(sizes, length=27, seed=5, dtype=torch.float32)
     graphs, frames, mask, lengths_au, nodes, tracks = episodes
-    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, tracks)
+    segment = whole_episodes(graphs, frames, mask, lengths_au, nodes, tracks)
     with torch.no_grad():
         logits, values = naive_all(network, episodes, sizes, 20)
         verdict = network(segment, 20)
@@ -172,7 +172,7 @@ def test_an_endless_mission_keeps_its_precision() -> None:
 def test_the_order_of_targets_does_not_matter() -> None:
     network = make_network(VARIANTS["ours"])
     graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 4)], 11, 2)
-    segment = Segment.of(graphs, frames, mask, lengths_au, nodes, tracks)
+    segment = whole_episodes(graphs, frames, mask, lengths_au, nodes, tracks)
     order = torch.tensor([2, 0, 3, 1])
     verdict = network(segment, 10)
     turned = replace(
@@ -200,9 +200,9 @@ def test_a_target_seen_for_the_first_time_joins_the_history() -> None:
 def test_later_decisions_do_not_change_earlier_ones() -> None:
     network = make_network(VARIANTS["ours"])
     graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 2)], 23, 4)
-    whole = network(Segment.of(graphs, frames, mask, lengths_au, nodes, tracks), 10)
+    whole = network(whole_episodes(graphs, frames, mask, lengths_au, nodes, tracks), 10)
     start = [x[:, :9] for x in (frames, lengths_au, nodes, tracks)]
-    part = network(Segment.of(graphs, start[0], mask, *start[1:]), 10)
+    part = network(whole_episodes(graphs, start[0], mask, *start[1:]), 10)
     torch.testing.assert_close(whole.logits[:, :9], part.logits, rtol=0.0, atol=1e-12)
 
 
@@ -223,7 +223,7 @@ def test_a_mirrored_segment_is_that_of_the_mirrored_roadmap() -> None:
     graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 2)], 9, 6)
     symmetry = torch.tensor([5])
     seen = network(
-        Segment.of(graphs, frames, mask, lengths_au, nodes, tracks).mirrored(symmetry), 8
+        whole_episodes(graphs, frames, mask, lengths_au, nodes, tracks).mirrored(symmetry), 8
     )
     turned = mirrored_tracks(tracks, symmetry)
     mirrored = (graphs.mirrored(symmetry), frames, mask, lengths_au, nodes, turned)

@@ -17,6 +17,7 @@ from dronemon.training.imitation import Expert, ExpertConfig, _judgement
 from dronemon.training.lessons import Lesson, teach
 from dronemon.training.peers import Peers
 
+CPU = torch.device("cpu")
 CONFIG = ExpertConfig(
     decisions=6, symmetries=False, precision="float32", history=(8, 8), max_gradient=1e9
 )
@@ -31,9 +32,8 @@ def make_expert(
     return Expert(
         network,
         config,
-        seed=0,
-        device=torch.device("cpu"),
-        peers=peers if peers is not None else Peers(),
+        peers if peers is not None else Peers(device=CPU),
+        0,
         folder=folder,
         num_workers=num_workers,
     )
@@ -118,7 +118,7 @@ def test_only_lessons_that_count_are_taken_up_again(tmp_path: Path) -> None:
     assert len(again._lessons) == 3
     shares = []
     for rank in range(2):  # whoever goes on
-        again = make_expert(tmp_path, peers=Peers(rank=rank, size=2))
+        again = make_expert(tmp_path, peers=Peers(device=CPU, rank=rank, size=2))
         again.restore(state)
         shares.append(len(again._lessons))
     assert shares == [2, 1]

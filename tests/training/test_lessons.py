@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -46,7 +47,7 @@ def test_every_neighbour_is_scored_and_the_teacher_flies_to_the_best() -> None:
 
 def test_a_lesson_comes_back_from_its_file(tmp_path: Path) -> None:
     lesson = make_lesson()
-    write_atomically(tmp_path / "lesson.pt", lesson.to_parts())
+    write_atomically(tmp_path / "lesson.pt", asdict(lesson))
     again = Lesson.from_parts(read_tensors(tmp_path / "lesson.pt"))
     assert torch.equal(again.gains, lesson.gains)
     assert torch.equal(again.rollout.segment.frames, lesson.rollout.segment.frames)

@@ -26,7 +26,7 @@ def make_ppo(config: PpoConfig = CONFIG) -> Ppo:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         network = PolicyNetwork(NetworkConfig(width=16, num_heads=2, feed_forward=32))
-    return Ppo(network, config, seed=0, device=torch.device("cpu"), peers=Peers())
+    return Ppo(network, config, Peers(device=torch.device("cpu")), 0)
 
 
 def test_what_pays_becomes_likelier() -> None:
