@@ -15,7 +15,7 @@ from pathlib import Path
 from dronemon.errors import OptionError
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.planner.planner import Planner
-from dronemon.planner.tsp import CarriedOn, ClairvoyantTspLoop, LastSeen, Predicted, TspLoop
+from dronemon.planner.tsp import ClairvoyantTspLoop, TspLoop, carried_on, last_seen, predicted
 
 ENTRY_POINTS = "dronemon.planners"
 """Group of entry points by which other packages bring planners."""
@@ -55,15 +55,15 @@ _SHIPPED: dict[str, tuple[str, Callable[..., Planner]]] = {
     ),
     "tsp": (
         "shortest loop over where targets were last seen; the paper's baseline",
-        lambda: TspLoop("tsp", LastSeen()),
+        lambda: TspLoop("tsp", last_seen),
     ),
     "tsp-heading": (
         "tsp, with targets carried on along their headings",
-        lambda: TspLoop("tsp-heading", CarriedOn()),
+        lambda: TspLoop("tsp-heading", carried_on),
     ),
     "tsp-predicted": (
         "tsp over the peaks of the belief a little later",
-        lambda: TspLoop("tsp-predicted", Predicted()),
+        lambda: TspLoop("tsp-predicted", predicted),
     ),
 }
 """Name -> one line of what the planner is, and what makes it."""
