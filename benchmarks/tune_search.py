@@ -21,8 +21,8 @@ import torch
 
 from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import Planner
-from dronemon.planner.particles import MotionSettings
-from dronemon.planner.search import ClairvoyantSearchPlanner, SearchPlanner, SearchSettings
+from dronemon.planner.search import ClairvoyantSearchPlanner, SearchPlanner
+from dronemon.planner.settings import MotionSettings, SearchSettings
 from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.types import FloatArray
 from dronemon.world import Instance

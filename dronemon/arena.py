@@ -64,11 +64,15 @@ class Arena:
         """Whether one can fly straight from one place to another. start_au, end_au: (2,) au."""
         return bool(self.contains(start_au) and self.contains(end_au))  # it is convex
 
+    def places(self, shares: FloatArray) -> FloatArray:
+        """Spread even draws evenly over the area. shares: (..., 2) in [0, 1) -> (..., 2) au."""
+        low, _ = self.bounds
+        places: FloatArray = low + self.extent_au * shares
+        return places
+
     def sample(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw places evenly over the area. -> (count, 2) float64 au."""
-        low, _ = self.bounds
-        places: FloatArray = low + self.extent_au * rng.random((count, 2))
-        return places
+        return self.places(rng.random((count, 2)))
 
     def distance_to_border_au(self, places_au: FloatArray) -> FloatArray:
         """How far inside places are; negative outside. places_au: (..., 2) au -> (...) au."""
@@ -89,9 +93,8 @@ class Arena:
 
     def cells(self, size: int) -> FloatArray:
         """Centres of size * size equal cells, y changing fastest. -> (size * size, 2) au."""
-        low, _ = self.bounds
         shares = (np.arange(size) + 0.5) / size
-        return _product(low[:, None] + self.extent_au[:, None] * shares)
+        return self.places(_product(np.stack([shares, shares])))
 
 
 def _product(axes: FloatArray) -> FloatArray:

@@ -46,13 +46,6 @@ def _covariance(dx, dy, dt):
 
 
 @_compiled()
-def fill(points, sets, index, out):
-    """Write covariances to out. points: (k, 3); sets: (B, 3, m); index: (k,); out: (k, m)."""
-    for row in range(points.shape[0]):
-        fill_row(points[row], sets[index[row]], sets.shape[2], out[row])
-
-
-@_compiled()
 def fill_row(point, columns, width, out):
     """Covariance of a point with the first columns. columns: (3, m)."""
     x, y, t = point[0], point[1], point[2]

@@ -1,7 +1,7 @@
 """Exact Gaussian-process posteriors of presence fields, one per target, in batches.
 
-Targets of an episode that were not seen have the agent's position in common. What depends on
-points that all targets have in common is found once; `compiled` and `batched` tell how.
+On a processor in double precision they are fitted by compiled loops, which find once what all
+targets have in common, as the agent's positions; elsewhere by torch's operations.
 
 Source: Rasmussen & Williams (2006), algorithm 2.1.
 """
@@ -20,13 +20,13 @@ import torch
 from torch import Tensor
 
 from dronemon.belief import batched, compiled
-from dronemon.belief.kernel import Matern32, is_compiled
+from dronemon.belief.kernel import Matern32
 from dronemon.errors import BeliefError
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-JITTER = {torch.float64: 1e-10, torch.float32: 1e-5}
+_JITTER = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Added to the covariance's diagonal so that its Cholesky factor exists in that precision."""
 
 
@@ -94,7 +94,6 @@ def fit(
     values: Tensor,
     mask: Tensor,
     kernel: Matern32 | None = None,
-    jitter: float | None = None,
     num_threads: int = 1,
 ) -> Posterior:
     """Condition zero-mean Gaussian processes on noiseless observations.
@@ -102,21 +101,22 @@ def fit(
     points: (..., N, n, 3) au x, y, t
     values: (..., N, n)    1 presence, 0 absence
     mask:   (..., N, n)    bool; false marks padding, whose points and values are ignored
-    jitter: added to the diagonal; by default what the precision needs
-    num_threads: that share the episodes, here and in the posterior; each does torch's work alone
-        if torch.set_num_threads(1) was called, which many small matrices need
+    num_threads: that share the episodes of the compiled loops, here and in the posterior
     -> a `Posterior` on the device and in the precision of `points`.
 
     Raises BeliefError if a covariance is not positive definite.
     """
     shape = values.shape
     kernel = kernel if kernel is not None else Matern32()
-    jitter = jitter if jitter is not None else JITTER[points.dtype]
+    jitter = _JITTER[points.dtype]
     size = math.prod(shape[:-2])
     points = points.reshape(size, *points.shape[-3:])
     values, mask = (x.reshape(size, *shape[-2:]) for x in (values, mask))
-    fit_groups = _fit_compiled if is_compiled(points) else _fit_batched
-    groups, num_failed = fit_groups(points, values, mask, kernel, jitter, num_threads)
+    if is_compiled(points):
+        groups, num_failed = _fit_compiled(points, values, mask, kernel, jitter, num_threads)
+    else:
+        group, num_failed = batched.fit(points, values, mask, kernel, jitter)
+        groups = [group]
     if num_failed:
         raise BeliefError(
             f"{num_failed} of {shape[:-1].numel()} covariances of {shape[-1]} observations are not"
@@ -124,6 +124,11 @@ def fit(
             " that repeat or are not finite, or use float64"
         )
     return Posterior(shape=shape[:-1], groups=groups, num_threads=num_threads)
+
+
+def is_compiled(points: Tensor) -> bool:
+    """Whether points are where the compiled loops work: ten times as fast as torch's operations."""
+    return points.device.type == "cpu" and points.dtype == torch.float64
 
 
 def _fit_compiled(
@@ -143,15 +148,6 @@ def _fit_compiled(
     )
     fitted = _in_threads(fit_group, episodes, num_threads)
     return [group for group, _ in fitted], sum(num_failed for _, num_failed in fitted)
-
-
-def _fit_batched(
-    points: Tensor, values: Tensor, mask: Tensor, kernel: Matern32, jitter: float, num_threads: int
-) -> tuple[Sequence[Group], int]:
-    """Fit by torch's operations on several episodes. -> groups, how many fits failed."""
-    tasks = batched.arrange(points, values, mask)
-    fitted = _in_threads(partial(batched.fit, kernel=kernel, jitter=jitter), tasks, num_threads)
-    return [group for group, _ in fitted], int(sum(is_bad.sum() for _, is_bad in fitted))
 
 
 def _in_threads(

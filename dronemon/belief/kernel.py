@@ -8,11 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from dronemon.belief.covariance import fill
 from dronemon.problem import LENGTH_SCALE_AU, TIME_SCALE_AU, WINDOW_TIME_SCALES
 
 
@@ -36,36 +34,12 @@ class Matern32:
 
         a: (..., n, 3) au; b: (..., m, 3) au -> (..., n, m) in [0, 1].
         """
-        if is_compiled(a):
-            batch = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
-            a = a.expand(*batch, *a.shape[-2:])
-            sets = b.expand(*batch, *b.shape[-2:]).reshape(math.prod(batch), *b.shape[-2:])
-            index = torch.arange(len(sets)).repeat_interleave(a.shape[-2])
-            return self.each(a.reshape(-1, 3), sets, index).view(*a.shape[:-1], b.shape[-2])
         scale = self.scale(a)
         # The matrix-product form of the distance would lose half the digits of nearby points.
         r = torch.cdist(a * scale, b * scale, compute_mode="donot_use_mm_for_euclid_dist")
         decay = r.neg_().exp()
         return decay.addcmul_(decay, r, value=-1.0)  # (1 + r) exp(-r)
 
-    def each(self, points: Tensor, sets: Tensor, index: Tensor) -> Tensor:
-        """Covariance of each point with one of several sets of points.
-
-        points: (k, 3) au; sets: (B, m, 3) au; index: (k,) which set -> (k, m) in [0, 1].
-        """
-        if not is_compiled(points):
-            return self(points[:, None], sets[index])[:, 0]
-        scale = self.scale(points)
-        out = points.new_empty(len(points), sets.shape[1])
-        scaled = (sets * scale).mT.contiguous()
-        fill((points * scale).numpy(), scaled.numpy(), index.numpy(), out.numpy())
-        return out
-
     def scale(self, like: Tensor) -> Tensor:
         """Factor that turns au into the distance r. -> (3,)."""
         return like.new_tensor([math.sqrt(3.0) / length_au for length_au in self.length_scales_au])
-
-
-def is_compiled(points: Tensor) -> bool:
-    """Whether points are where the compiled loop works: ten times as fast as torch's operations."""
-    return points.device.type == "cpu" and points.dtype == torch.float64

@@ -44,7 +44,6 @@ class ObservationStore:
         self._values = torch.zeros(shape, dtype=dtype, device=device)
         self._is_filled = torch.zeros(shape, dtype=torch.bool, device=device)
         self._measured_au = torch.full((batch, capacity), -torch.inf, dtype=dtype, device=device)
-        self._agent_au = torch.zeros((batch, capacity, 2), dtype=dtype, device=device)
         self._rows = torch.arange(batch, device=device)
 
     @property
@@ -93,7 +92,6 @@ class ObservationStore:
         keep = active[:, None]
         ring = (self._rows, slot)
         self._measured_au[ring] = torch.where(active, time_au, self._measured_au[ring])
-        self._agent_au[ring] = torch.where(keep, agent_au, self._agent_au[ring])
         place = torch.where(seen[..., None], target_au, agent_au[:, None])  # (B, N, 2)
         point = torch.cat([place, time_au[:, None, None].expand_as(place[..., :1])], dim=-1)
         at = (self._rows, slice(None), 1 + slot)
@@ -115,7 +113,6 @@ class ObservationStore:
         """Double the number of measurements that fit in."""
         pad, extra = torch.nn.functional.pad, self.capacity
         self._measured_au = pad(self._measured_au, (0, extra), value=-torch.inf)
-        self._agent_au = pad(self._agent_au, (0, 0, 0, extra))
         self._points = pad(self._points, (0, 0, 0, extra))
         self._values = pad(self._values, (0, extra))
         self._is_filled = pad(self._is_filled, (0, extra))

@@ -1,7 +1,7 @@
 """One episode of one planner in the simulated world, flown exactly as the paper evaluates.
 
 The agent flies straight at unit speed from waypoint to waypoint and measures every 0.1 au flown;
-targets move on all the while. Source: paper, section V-A; PAPER-NOTES.
+targets move on all the while. Source: paper, section V-A.
 """
 
 from __future__ import annotations

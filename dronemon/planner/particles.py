@@ -16,16 +16,15 @@ from numba import njit
 
 from dronemon.arena import ARENA, Arena
 from dronemon.planner.moving import is_inside
+from dronemon.planner.settings import MotionSettings
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sightings import Sight, Sightings
 from dronemon.types import FloatArray, IntArray, Measurement
 
-TURNS_PER_AU = 8.5
-"""How often a target turns per length walked, on development paths (seeds 10000 to 10059)."""
 TURN_QUANTILES_RAD = np.radians(
     [0.0, 11.5, 23.0, 34.7, 46.3, 58.2, 71.2, 85.2, 100.5, 118.8, 165.0]
 )
-"""Size of a turn at evenly spaced probabilities 0 to 1, on the same paths."""
+"""Size of a turn at evenly spaced probabilities 0 to 1, on development paths (10000 to 10059)."""
 _TRIES = 8
 _REGENERATIONS = 1500
 """Most walks tried anew for one target and measurement; bounds the time of a decision."""
@@ -37,30 +36,10 @@ _FEW = 0.15
 """Share of surviving particles below which lost ones are walked anew instead of copied."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MotionSettings:
-    """What is assumed of targets, and how closely they are followed.
-
-    num_particles: of each target; slowest, fastest: that targets may be, over the agent's speed;
-    turns_per_au: per length walked; noise_au: of a displacement between two sightings;
-    trail_radius_au: targets seldom come this close to their own trail, as
-    far as they walked it in the last trail_au; trail_doubt: chance that a particle which did is
-    removed, at each miss
-    """
-
-    num_particles: int = 240
-    slowest: float = 0.005
-    fastest: float = 0.3
-    turns_per_au: float = TURNS_PER_AU
-    noise_au: float = 0.0015
-    trail_radius_au: float = 0.1
-    trail_au: float = 5.0
-    trail_doubt: float = 0.9
-
-
 @njit(cache=True, fastmath=True, nogil=True)
-def _turned(heading, quantiles, rng):  # type: ignore[no-untyped-def]
+def _turned(heading, rng):  # type: ignore[no-untyped-def]
     """A new heading after a random turn to either side."""
+    quantiles = TURN_QUANTILES_RAD
     place = rng.random() * (quantiles.shape[0] - 1)
     low = int(place)
     size = quantiles[low] + (quantiles[low + 1] - quantiles[low]) * (place - low)
@@ -68,33 +47,27 @@ def _turned(heading, quantiles, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _step(x, y, heading, distance, turns_per_au, quantiles, bounds, rng):  # type: ignore[no-untyped-def]
+def _step(x, y, heading, distance, turns_per_au, bounds, rng):  # type: ignore[no-untyped-def]
     """Walk one target a short distance inside the arena. -> x, y, heading."""
     if rng.random() < 1.0 - math.exp(-turns_per_au * distance):
-        heading = _turned(heading, quantiles, rng)
+        heading = _turned(heading, rng)
     for _ in range(_TRIES):
         next_x = x + distance * math.cos(heading)
         next_y = y + distance * math.sin(heading)
         if is_inside(bounds, next_x, next_y):
             return next_x, next_y, heading
-        heading = _turned(heading, quantiles, rng)
+        heading = _turned(heading, rng)
     return x, y, heading
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def walk(walkers, speeds, duration, turns_per_au, quantiles, bounds, rng):  # type: ignore[no-untyped-def]
+def walk(walkers, speeds, duration, turns_per_au, bounds, rng):  # type: ignore[no-untyped-def]
     """Walk particles on, in place. walkers: (3, M) x, y, heading; speeds: (M,); duration: au."""
     for j in range(walkers.shape[1]):
-        walkers[0, j], walkers[1, j], walkers[2, j] = _step(
-            walkers[0, j],
-            walkers[1, j],
-            walkers[2, j],
-            speeds[j] * duration,
-            turns_per_au,
-            quantiles,
-            bounds,
-            rng,
-        )
+        x, y, heading = walkers[0, j], walkers[1, j], walkers[2, j]
+        distance = speeds[j] * duration
+        x, y, heading = _step(x, y, heading, distance, turns_per_au, bounds, rng)
+        walkers[0, j], walkers[1, j], walkers[2, j] = x, y, heading
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -116,10 +89,11 @@ def refuted(walkers, agent, old_trail, trail_radius, trail_doubt, rng):  # type:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, quantiles, bounds, rng):  # type: ignore[no-untyped-def]
+def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, bounds, rng):  # type: ignore[no-untyped-def]
     """Replace particles by walks from the last sighting that no miss since refutes. -> how many.
 
-    lost: (K,) their indices; origin: time, x, y, heading, chance that the heading is right;
+    lost:   (K,)   int64 their indices
+    origin: (5,)   time, x, y, heading, chance that the heading is right
     misses: (S, 3) time, x, y since
     """
     done = 0
@@ -134,7 +108,7 @@ def walk_anew(walkers, speeds, lost, origin, misses, turns_per_au, quantiles, bo
         for m in range(misses.shape[0]):
             distance = speeds[j] * (misses[m, 0] - time)
             time = misses[m, 0]
-            x, y, heading = _step(x, y, heading, distance, turns_per_au, quantiles, bounds, rng)
+            x, y, heading = _step(x, y, heading, distance, turns_per_au, bounds, rng)
             if (x - misses[m, 1]) ** 2 + (y - misses[m, 2]) ** 2 < SENSOR_RADIUS_AU**2:
                 kept = False
                 break
@@ -234,9 +208,9 @@ class ParticleBelief:
         self.targets = [self._begin(prior) for prior in np.concatenate([priors_au, imagined_au])]
 
     def _begin(self, prior_au: FloatArray) -> TargetParticles:
-        count = self._motion.num_particles
-        headings_rad = 2.0 * math.pi * self._rng.random(count)
-        walkers = np.stack([*self._arena.sample(count, self._rng).T, headings_rad])
+        walkers = self._rng.random((3, self._motion.num_particles))
+        walkers[:2] = self._arena.places(walkers[:2].T).T
+        walkers[2] *= 2.0 * math.pi
         target = TargetParticles(walkers=walkers)
         if not np.isnan(prior_au).any():
             walkers[:2] = prior_au[:, None]
@@ -253,15 +227,8 @@ class ParticleBelief:
             self._walk(target.walkers, self._speeds, duration)
 
     def _walk(self, walkers: FloatArray, speeds: FloatArray, duration_au: float) -> None:
-        walk(
-            walkers,
-            speeds,
-            duration_au,
-            self._motion.turns_per_au,
-            TURN_QUANTILES_RAD,
-            self._bounds,
-            self._rng,
-        )
+        turns_per_au = self._motion.turns_per_au
+        walk(walkers, speeds, duration_au, turns_per_au, self._bounds, self._rng)
 
     def futures(
         self, num_particles: int, num_steps: int, interval_au: float
@@ -379,7 +346,6 @@ class ParticleBelief:
                 np.array([*sight, target.heading_rad, target.heading_trust]),
                 np.array(misses, dtype=np.float64).reshape(-1, 3),
                 self._motion.turns_per_au,
-                TURN_QUANTILES_RAD,
                 self._bounds,
                 self._rng,
             )

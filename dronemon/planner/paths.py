@@ -17,6 +17,7 @@ from numba import njit
 
 from dronemon.planner.moving import clipped, drawn, follow, nearest_node
 from dronemon.planner.scoring import score
+from dronemon.planner.settings import SearchSettings
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.types import FloatArray
 
@@ -44,6 +45,11 @@ class Effort(NamedTuple):
     forget_steps: float
     refine_au: float
     scatter_au: float
+
+    @classmethod
+    def of(cls, settings: SearchSettings) -> Effort:
+        """Give what the search needs of its settings."""
+        return cls(*(getattr(settings, name) for name in cls._fields))
 
 
 class Found(NamedTuple):

@@ -15,7 +15,7 @@ from pathlib import Path
 from dronemon.errors import OptionError
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.planner.planner import Planner
-from dronemon.planner.tsp import CarriedOn, ClairvoyantTspLoop, LastSeen, Predicted, TspLoop
+from dronemon.planner.tsp import ClairvoyantTspLoop, TspLoop, carried_on, last_seen, predicted
 
 ENTRY_POINTS = "dronemon.planners"
 """Group of entry points by which other packages bring planners."""
@@ -41,9 +41,9 @@ _SHIPPED: dict[str, Callable[..., Planner]] = {
     "search": _later("search", "SearchPlanner"),
     "search-roadmap": _later("search", "RoadmapSearchPlanner"),
     "stamp": _later("learned", "LearnedPlanner.load"),
-    "tsp": lambda: TspLoop("tsp", LastSeen()),
-    "tsp-heading": lambda: TspLoop("tsp-heading", CarriedOn()),
-    "tsp-predicted": lambda: TspLoop("tsp-predicted", Predicted()),
+    "tsp": lambda: TspLoop("tsp", last_seen),
+    "tsp-heading": lambda: TspLoop("tsp-heading", carried_on),
+    "tsp-predicted": lambda: TspLoop("tsp-predicted", predicted),
 }
 _ABOUT = {
     "clairvoyant": "tsp, told where targets will be: a bound, never flown",

@@ -24,6 +24,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dronemon.planner.moving import cell
+from dronemon.planner.settings import SearchSettings
 from dronemon.problem import (
     LENGTH_SCALE_AU,
     MEASUREMENT_INTERVAL_AU,
@@ -98,42 +99,31 @@ class Forecast(NamedTuple):
     bounds: FloatArray
 
 
-def make_tables(
-    *,
-    speed: float,
-    num_steps: int,
-    discount: float,
-    fading: float,
-    drift: float,
-    probe_au: float,
-    sight_gain: float,
-    forget_steps: float,
-    shape_worth: float,
-) -> Tables:
-    """Build the tables for a believed speed of the targets; names as in `SearchSettings`."""
+def make_tables(settings: SearchSettings, speed: float) -> Tables:
+    """Build the tables for a believed speed of the targets."""
     age_au = np.arange(NUM_AGES) / AGES_PER_STEP * MEASUREMENT_INTERVAL_AU
     correlation = _matern(
-        np.hypot(drift * speed * age_au / LENGTH_SCALE_AU, age_au / TIME_SCALE_AU)
+        np.hypot(settings.drift * speed * age_au / LENGTH_SCALE_AU, age_au / TIME_SCALE_AU)
     )
     certainty = 1.0 - np.sqrt(1.0 - correlation**2)
     certainty[-AGES_PER_STEP:] = 0.0
     worth = certainty.copy()
     for age in range(NUM_AGES - AGES_PER_STEP - 1, -1, -1):
-        worth[age] += fading * worth[age + AGES_PER_STEP]
+        worth[age] += settings.fading * worth[age + AGES_PER_STEP]
     distance_au = np.sqrt((np.arange(_REACH_BINS) + 0.5) / _REACH_BINS) * _REACH_AU
     nearest_age = np.searchsorted(-correlation, -_matern(distance_au / LENGTH_SCALE_AU))
     age_at: Int32Array = np.minimum(nearest_age, NUM_AGES - 1).astype(np.int32)
+    forget = settings.forget_steps
+    known = settings.sight_gain * forget * (1.0 - np.exp(-np.arange(OLDEST + 1) / forget))
     return Tables(
         age_at=age_at,
-        seen_age=int(age_at[int((probe_au / _REACH_AU) ** 2 * _REACH_BINS)]),
+        seen_age=int(age_at[int((settings.probe_au / _REACH_AU) ** 2 * _REACH_BINS)]),
         worth=worth.astype(np.float32),
-        known=(
-            sight_gain * forget_steps * (1.0 - np.exp(-np.arange(OLDEST + 1) / forget_steps))
-        ).astype(np.float32),
+        known=known.astype(np.float32),
         # A fast target soon leaves the shape behind.
-        shape_worth=shape_worth * 2.0 / (1.0 + speed * TIME_SCALE_AU / LENGTH_SCALE_AU),
-        discount=(discount ** np.arange(num_steps)).astype(np.float32),
-        probe_au=probe_au,
+        shape_worth=settings.shape_worth * 2.0 / (1.0 + speed * TIME_SCALE_AU / LENGTH_SCALE_AU),
+        discount=(settings.discount ** np.arange(settings.horizon(speed))).astype(np.float32),
+        probe_au=settings.probe_au,
     )
 
 

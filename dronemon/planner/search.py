@@ -8,7 +8,6 @@ one setting serves any number and speed of targets.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -18,8 +17,9 @@ from dronemon.belief import Belief
 from dronemon.errors import PlannerError
 from dronemon.planner import moving, paths, scoring
 from dronemon.planner.motion import ARRIVED_AU, until_measurement_au
-from dronemon.planner.particles import MotionSettings, ParticleBelief
+from dronemon.planner.particles import ParticleBelief
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
+from dronemon.planner.settings import SearchSettings
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_AU
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
@@ -27,86 +27,6 @@ from dronemon.types import FloatArray, IntArray, Measurement
 
 _NEXT_AU = 0.03
 """A measurement nearer than this is left to come as it may: no waypoint is as near as that."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchSettings:
-    """How the search looks ahead and what it values.
-
-    Compared by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
-    """
-
-    num_steps: int = 26
-    """Longest horizon, in measurements."""
-    walk_au: float = 0.18
-    """Walk of a target after which its place is a guess; the horizon ends there at the latest."""
-    num_drawn: int = 200
-    """Paths drawn at every decision."""
-    num_refined: int = 150
-    """Small changes of the best path tried after that."""
-    num_planned: int = 40
-    """Most particles of each target that paths are scored against."""
-    num_planned_in_all: int = 240
-    """Most particles of all targets; bounds the time of a decision."""
-    discount: float = 0.985
-    """Worth of a gain one measurement later."""
-    fading: float = 0.985
-    """Worth of certainty that lasts one measurement longer."""
-    drift: float = 0.7
-    """Share of a target's speed at which it leaves the place of a measurement behind."""
-    probe_au: float = 0.065
-    """Distance of the four probes around a target; the mean over its area is about that at it."""
-    sight_gain: float = 2.0
-    """Worth of having seen a target, for each measurement that the knowledge lasts."""
-    forget_steps: float = 25.0
-    """Measurements in which that knowledge fades to 1/e."""
-    shape_worth: float = 1.0
-    """Worth of a belief's mean nearer to its target's presence, per squared error at r_v = 1/30."""
-    guided_share: float = 0.7
-    """Paths whose goals are drawn by urgency and nearness, rather than at random."""
-    greed: float = 6.0
-    """Greatest power of that preference."""
-    scatter_au: float = 0.05
-    """How far from a particle a goal may be."""
-    refine_au: float = 0.05
-    """Typical change of a goal in refinement."""
-    unfound_weight: float = 10.0
-    """Weight of a target that was never seen: once found, it can be followed.
-
-    While more targets may exist than are known, an imagined one has this weight too.
-    """
-    motion: MotionSettings = field(default_factory=MotionSettings)
-
-    @property
-    def effort(self) -> paths.Effort:
-        """What the compiled search needs to draw candidates."""
-        return paths.Effort(
-            num_drawn=self.num_drawn,
-            num_refined=self.num_refined,
-            guided_share=self.guided_share,
-            greed=self.greed,
-            forget_steps=self.forget_steps,
-            refine_au=self.refine_au,
-            scatter_au=self.scatter_au,
-        )
-
-    def horizon(self, speed: float) -> int:
-        """Measurements to look ahead over, for targets of a speed."""
-        return min(self.num_steps, math.ceil(self.walk_au / speed / MEASUREMENT_INTERVAL_AU))
-
-    def tables(self, speed: float) -> scoring.Tables:
-        """Look-up tables of the score for targets of a speed."""
-        return scoring.make_tables(
-            speed=speed,
-            num_steps=self.horizon(speed),
-            discount=self.discount,
-            fading=self.fading,
-            drift=self.drift,
-            probe_au=self.probe_au,
-            sight_gain=self.sight_gain,
-            forget_steps=self.forget_steps,
-            shape_worth=self.shape_worth,
-        )
 
 
 class SearchPlanner:
@@ -147,7 +67,8 @@ class SearchPlanner:
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """One step along the best path found."""
-        due_au = until_measurement_au(snapshot.flown_au)
+        num_taken = math.floor(snapshot.flown_au / MEASUREMENT_INTERVAL_AU + 1e-9)
+        due_au = until_measurement_au(snapshot.flown_au - num_taken * MEASUREMENT_INTERVAL_AU)
         if due_au < _NEXT_AU:
             due_au += MEASUREMENT_INTERVAL_AU
         x_au, y_au = snapshot.position_au.tolist()
@@ -193,14 +114,14 @@ class SearchPlanner:
         self._particles.learn(snapshot.sightings)
         self._particles.advance(snapshot.time_au)
         now_au, later_au, speed = self._foreseen(snapshot.time_au)
-        tables = self.settings.tables(speed)
+        tables = scoring.make_tables(self.settings, speed)
         found: paths.Found = paths.search(
             start,
             self._ground,
             options,
             self._forecast(snapshot, now_au, later_au, tables),
             tables,
-            self.settings.effort,
+            paths.Effort.of(self.settings),
             self._goals,
             self._num_goals,
             self._rng,

@@ -12,10 +12,12 @@ sight, or flying it to its old end, moves Unc by about 0.01, up or down.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dronemon.arena import Arena
 from dronemon.planner.lawnmower import Sweep, sweep_length_au, sweep_track
 from dronemon.planner.motion import orbit, step_towards, until_measurement_au
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
@@ -31,24 +33,16 @@ INTERCEPT_ROUNDS = 4
 """Fixed-point rounds of meeting a moving target; each divides the miss by the speed ratio."""
 SHORTEST_AU = 0.01
 """Sights nearer in time than this are taken to lie this far apart, to bound the speed read off."""
+PREDICTION_AU = 1.0
+"""How much later a belief's peak is sought."""
 PEAK_GRID = 21
 """Points per axis among which a belief's peak is sought: 0.05 au apart, half a length scale."""
 
 
-class Whereabouts(Protocol):
-    """Where the known targets are thought to be."""
-
-    def reset(self, briefing: Briefing) -> None:
-        """Begin a mission."""
-        ...
-
-    def take(self, snapshot: Snapshot) -> None:
-        """Take in what was seen since the last snapshot."""
-        ...
-
-    def at(self, time_au: float) -> FloatArray:
-        """Positions at a time not before the last snapshot. -> (N, 2) au, NaN where unknown."""
-        ...
+PlacesAt = Callable[[float], FloatArray]
+"""Where targets are thought to be at a time not before now. -> (N, 2) au, NaN where unknown."""
+Whereabouts = Callable[[Snapshot, Arena], PlacesAt]
+"""What is thought of the known targets' places."""
 
 
 class TspLoop:
@@ -65,7 +59,6 @@ class TspLoop:
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the loop."""
-        self._whereabouts.reset(briefing)
         self._arena = briefing.arena
         self._sweep = Sweep(track_au=sweep_track(briefing.arena))
         self._sweep_until_au = (
@@ -77,7 +70,7 @@ class TspLoop:
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """Step towards the goal, as far as the next measurement, which may move it."""
-        self._whereabouts.take(snapshot)
+        self._places_at = self._whereabouts(snapshot, self._arena)
         places_au = self._places(snapshot.time_au)
         here_au, step_au = snapshot.position_au, until_measurement_au(snapshot.flown_au)
         if (
@@ -106,7 +99,7 @@ class TspLoop:
 
     def _places(self, time_au: float) -> FloatArray:
         """Where targets are met: one seen beyond the border, at it. -> (N, 2) au."""
-        return self._arena.clip(self._whereabouts.at(time_au))
+        return self._arena.clip(self._places_at(time_au))
 
     def _plan(self, places_au: FloatArray, here_au: FloatArray) -> None:
         """Find the shortest loop; a first one begins with the nearest target."""
@@ -140,107 +133,44 @@ def _shared_steps(a: IntArray, b: IntArray) -> int:
     return sum(_successor(a, target) == _successor(b, target) for target in a.tolist())
 
 
-class LastSeen:
+def last_seen(snapshot: Snapshot, arena: Arena) -> PlacesAt:
     """Where each target was last seen; the places known before the mission count as sights."""
-
-    def reset(self, briefing: Briefing) -> None:
-        """Nothing to forget: the log remembers."""
-
-    def take(self, snapshot: Snapshot) -> None:
-        """Move the targets that were seen to where they were seen."""
-        self._places_au = snapshot.sightings.last_places_au
-
-    def at(self, time_au: float) -> FloatArray:
-        """Give the last-seen places, whatever the time."""
-        return self._places_au
+    places_au = snapshot.sightings.last_places_au
+    return lambda time_au: places_au
 
 
-class CarriedOn:
+def carried_on(snapshot: Snapshot, arena: Arena) -> PlacesAt:
     """Where each target would be had it kept on as it moved between its last two sights."""
-
-    def reset(self, briefing: Briefing) -> None:
-        """Nothing to forget: the log remembers."""
-
-    def take(self, snapshot: Snapshot) -> None:
-        """Read places and velocities off the last two sights of each target."""
-        sightings = snapshot.sightings
-        self._places_au, self._times_au = sightings.last_places_au, sightings.last_seen_au
-        self._velocities = np.zeros((sightings.num_targets, 2))
-        for target in range(sightings.num_targets):
-            sights = sightings.sights(target, before_au=math.inf, most=2)
-            if len(sights) == 2:
-                then, now = np.array(sights)
-                elapsed_au = max(now[0] - then[0], SHORTEST_AU)
-                self._velocities[target] = (now[1:] - then[1:]) / elapsed_au
-
-    def at(self, time_au: float) -> FloatArray:
-        """Carry every target on in a straight line."""
-        moved_au = self._velocities * (time_au - self._times_au)[:, None]
-        places_au: FloatArray = self._places_au + moved_au
-        return places_au
+    sightings = snapshot.sightings
+    places_au, times_au = sightings.last_places_au, sightings.last_seen_au
+    velocities = np.zeros_like(places_au)
+    for target in range(sightings.num_targets):
+        sights = sightings.sights(target, before_au=math.inf, most=2)
+        if len(sights) == 2:
+            then, now = np.array(sights)
+            velocities[target] = (now[1:] - then[1:]) / max(now[0] - then[0], SHORTEST_AU)
+    return lambda time_au: places_au + velocities * (time_au - times_au)[:, None]
 
 
-class Predicted:
+def predicted(snapshot: Snapshot, arena: Arena) -> PlacesAt:
     """Where the belief's mean will peak a little later; the last-seen place where it has none."""
-
-    def __init__(self, prediction_au: float = 1.0) -> None:
-        self._prediction_au = prediction_au
-
-    def reset(self, briefing: Briefing) -> None:
-        """Lay the grid over the arena."""
-        self._grid_au = briefing.arena.grid(PEAK_GRID)
-
-    def take(self, snapshot: Snapshot) -> None:
-        """Find each belief's peak among the points of a grid."""
-        last_seen_au = snapshot.sightings.last_places_au
-        time_au = snapshot.time_au + self._prediction_au
-        times_au = np.full((len(self._grid_au), 1), time_au)
-        mean, _ = snapshot.belief.posterior(np.concatenate([self._grid_au, times_au], axis=1))
-        is_found = (mean.max(axis=1) > 0.0) & np.isfinite(last_seen_au).all(axis=1)
-        peaks_au = self._grid_au[mean.argmax(axis=1)]
-        self._places_au = np.where(is_found[:, None], peaks_au, last_seen_au)
-
-    def at(self, time_au: float) -> FloatArray:
-        """Give the peaks, whatever the time: they stay while they fade."""
-        return self._places_au
+    last_seen_au, grid_au = snapshot.sightings.last_places_au, arena.grid(PEAK_GRID)
+    times_au = np.full(len(grid_au), snapshot.time_au + PREDICTION_AU)
+    mean = snapshot.belief.mean(np.column_stack([grid_au, times_au]))
+    is_found = (mean.max(axis=1) > 0.0) & np.isfinite(last_seen_au).all(axis=1)
+    places_au = np.where(is_found[:, None], grid_au[mean.argmax(axis=1)], last_seen_au)
+    return lambda time_au: places_au
 
 
-class Foreseen:
-    """Where each target truly is and will be."""
-
-    def foresee(self, targets_at: TargetsAt) -> None:
-        """Take the truth."""
-        self._targets_at = targets_at
-
-    def reset(self, briefing: Briefing) -> None:
-        """Nothing to forget: the truth was just told."""
-
-    def take(self, snapshot: Snapshot) -> None:
-        """Nothing to learn."""
-
-    def at(self, time_au: float) -> FloatArray:
-        """Tell the truth."""
-        places_au: FloatArray = self._targets_at(np.array([time_au]))[0]
-        return places_au
-
-
-class ClairvoyantTspLoop:
+class ClairvoyantTspLoop(TspLoop):
     """The TSP loop of one who knows where every target is and will be."""
 
-    name = "clairvoyant"
-
     def __init__(self) -> None:
-        self._foreseen = Foreseen()
-        self._loop = TspLoop(self.name, self._foreseen)
+        super().__init__("clairvoyant", self._true_places)
 
     def foresee(self, targets_at: TargetsAt) -> None:
         """Take the truth of the next mission."""
-        self._foreseen.foresee(targets_at)
+        self._targets_at = targets_at
 
-    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
-        """Forget the loop."""
-        self._loop.reset(briefing, roadmap)
-
-    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
-        """Step towards where the next target will be met."""
-        return self._loop.next_waypoint(snapshot)
+    def _true_places(self, snapshot: Snapshot, arena: Arena) -> PlacesAt:
+        return lambda time_au: self._targets_at(np.array([time_au]))[0]

@@ -24,7 +24,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from dronemon.env import Setup
-from dronemon.planner.search import SearchSettings
+from dronemon.planner.settings import SearchSettings
 from dronemon.policy import (
     Card,
     PolicyNetwork,

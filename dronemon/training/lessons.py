@@ -18,7 +18,8 @@ from torch import Tensor
 from dronemon.belief import Belief
 from dronemon.env import Env, Observation, Setup
 from dronemon.planner import Briefing, Snapshot
-from dronemon.planner.search import RoadmapSearchPlanner, SearchSettings
+from dronemon.planner.search import RoadmapSearchPlanner
+from dronemon.planner.settings import SearchSettings
 from dronemon.policy import Graphs, PolicyNetwork, Segment, Verdict
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings

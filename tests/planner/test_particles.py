@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from dronemon.planner.particles import MotionSettings, ParticleBelief, SpeedBelief
+from dronemon.planner.particles import ParticleBelief, SpeedBelief
+from dronemon.planner.settings import MotionSettings
 from dronemon.sightings import Sightings
 from dronemon.types import Measurement
 from dronemon.world import Instance, measure

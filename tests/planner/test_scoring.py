@@ -3,26 +3,16 @@ import pytest
 
 from dronemon.arena import ARENA
 from dronemon.planner import scoring
-from dronemon.planner.search import SearchSettings
+from dronemon.planner.settings import SearchSettings
 
 
 @pytest.mark.parametrize(("place", "gains"), [((0.47, 0.5), False), ((0.3, 0.5), True)])
 def test_a_miss_gains_on_a_false_trail_and_costs_at_the_target(place, gains):
     # The target is believed at (0.6, 0.5); its presence is still remembered where `place` is false.
-    settings = SearchSettings()
     worth = {}
     for shape_worth in (0.0, 5.0):
-        tables = scoring.make_tables(
-            speed=1 / 30,
-            num_steps=1,
-            discount=settings.discount,
-            fading=settings.fading,
-            drift=settings.drift,
-            probe_au=settings.probe_au,
-            sight_gain=settings.sight_gain,
-            forget_steps=settings.forget_steps,
-            shape_worth=shape_worth,
-        )
+        settings = SearchSettings(num_steps=1, shape_worth=shape_worth)
+        tables = scoring.make_tables(settings, speed=1 / 30)
         forecast = scoring.Forecast(
             x=np.full((1, 1), 0.6, dtype=np.float32),
             y=np.full((1, 1), 0.5, dtype=np.float32),

@@ -6,12 +6,8 @@ import pytest
 from dronemon.belief import Belief
 from dronemon.errors import PlannerError
 from dronemon.planner import Briefing, Snapshot
-from dronemon.planner.search import (
-    ClairvoyantSearchPlanner,
-    RoadmapSearchPlanner,
-    SearchPlanner,
-    SearchSettings,
-)
+from dronemon.planner.search import ClairvoyantSearchPlanner, RoadmapSearchPlanner, SearchPlanner
+from dronemon.planner.settings import SearchSettings
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.world import Instance, measure, sample_leg

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.planner import Briefing, Snapshot, create_planner
 from dronemon.planner.tour import shortest_loop
-from dronemon.planner.tsp import CarriedOn, LastSeen, Predicted, TspLoop, Whereabouts
+from dronemon.planner.tsp import TspLoop, Whereabouts, carried_on, last_seen, predicted
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
@@ -88,7 +89,7 @@ def test_loop_round_a_circle_is_the_circle(count: int) -> None:
 
 
 def test_goal_moves_with_its_target_and_is_skipped_where_it_is_not_found() -> None:
-    planner = TspLoop("tsp", LastSeen())
+    planner = TspLoop("tsp", last_seen)
     snapshot = Told(np.array([[0.1, 0.5], [0.9, 0.5]]))
     planner.reset(snapshot.briefing, ROADMAP)
     first = planner.next_waypoint(snapshot(0.0, [0.4, 0.5]))
@@ -104,7 +105,7 @@ def test_goal_moves_with_its_target_and_is_skipped_where_it_is_not_found() -> No
 
 
 def test_loop_is_flown_on_in_the_same_sense() -> None:
-    planner = TspLoop("tsp", LastSeen())
+    planner = TspLoop("tsp", last_seen)
     snapshot = Told(np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]]))
     planner.reset(snapshot.briefing, ROADMAP)
     here, goals = np.array([0.1, 0.2]), []
@@ -122,21 +123,18 @@ def test_loop_is_flown_on_in_the_same_sense() -> None:
 
 @pytest.mark.parametrize(
     ("whereabouts", "expected"),
-    [(LastSeen(), [0.4, 0.5]), (CarriedOn(), [0.5, 0.5])],
+    [(last_seen, [0.4, 0.5]), (carried_on, [0.5, 0.5])],
 )
 def test_where_a_walker_is_thought_to_be(whereabouts: Whereabouts, expected: list[float]) -> None:
     snapshot = Told(np.array([[0.2, 0.5]]))
-    whereabouts.reset(snapshot.briefing)
-    whereabouts.take(snapshot(2.0, [0.5, 0.5], sight(2.0, {0: (0.4, 0.5)}, 1)))
-    np.testing.assert_allclose(whereabouts.at(3.0)[0], expected)
+    places_at = whereabouts(snapshot(2.0, [0.5, 0.5], sight(2.0, {0: (0.4, 0.5)}, 1)), ARENA)
+    np.testing.assert_allclose(places_at(3.0)[0], expected)
 
 
 def test_belief_is_thought_to_peak_where_the_target_was_seen() -> None:
-    whereabouts = Predicted()
     snapshot = Told(np.full((2, 2), np.nan))
-    whereabouts.reset(snapshot.briefing)
-    whereabouts.take(snapshot(0.1, [0.5, 0.5], sight(0.1, {1: (0.55, 0.45)}, 2)))
-    places_au = whereabouts.at(0.1)
+    seen = snapshot(0.1, [0.5, 0.5], sight(0.1, {1: (0.55, 0.45)}, 2))
+    places_au = predicted(seen, ARENA)(0.1)
     assert np.isnan(places_au[0]).all()
     np.testing.assert_allclose(places_au[1], [0.55, 0.45])
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dronemon.env import Setup
-from dronemon.planner.search import SearchSettings
+from dronemon.planner.settings import SearchSettings
 from dronemon.policy import NetworkConfig, PolicyNetwork, read_tensors
 from dronemon.training.imitation import Expert, ExpertConfig, _judgement
 from dronemon.training.lessons import Lesson, teach

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from dronemon.env import Setup
-from dronemon.planner.search import SearchSettings
+from dronemon.planner.settings import SearchSettings
 from dronemon.policy import NetworkConfig, PolicyNetwork, read_tensors, write_atomically
 from dronemon.training.lessons import Lesson, teach
 

@@ -1,0 +1,81 @@
+"""What the search assumes of targets, how it looks ahead, and what it values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionSettings:
+    """What is assumed of targets, and how closely they are followed; speeds over the agent's."""
+
+    num_particles: int = 240
+    """Of each target."""
+    slowest: float = 0.005
+    fastest: float = 0.3
+    turns_per_au: float = 8.5
+    """How often a target turns per length walked, on development paths (seeds 10000 to 10059)."""
+    noise_au: float = 0.0015
+    """Of a displacement between two sightings."""
+    trail_radius_au: float = 0.1
+    """Targets seldom come this close to their own trail,"""
+    trail_au: float = 5.0
+    """as far as they walked it in this length."""
+    trail_doubt: float = 0.9
+    """Chance that a particle which did is removed, at each miss."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchSettings:
+    """How the search looks ahead and what it values.
+
+    Compared by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
+    """
+
+    num_steps: int = 26
+    """Longest horizon, in measurements."""
+    walk_au: float = 0.18
+    """Walk of a target after which its place is a guess; the horizon ends there at the latest."""
+    num_drawn: int = 200
+    """Paths drawn at every decision."""
+    num_refined: int = 150
+    """Small changes of the best path tried after that."""
+    num_planned: int = 40
+    """Most particles of each target that paths are scored against."""
+    num_planned_in_all: int = 240
+    """Most particles of all targets; bounds the time of a decision."""
+    discount: float = 0.985
+    """Worth of a gain one measurement later."""
+    fading: float = 0.985
+    """Worth of certainty that lasts one measurement longer."""
+    drift: float = 0.7
+    """Share of a target's speed at which it leaves the place of a measurement behind."""
+    probe_au: float = 0.065
+    """Distance of the four probes around a target; the mean over its area is about that at it."""
+    sight_gain: float = 2.0
+    """Worth of having seen a target, for each measurement that the knowledge lasts."""
+    forget_steps: float = 25.0
+    """Measurements in which that knowledge fades to 1/e."""
+    shape_worth: float = 1.0
+    """Worth of a belief's mean nearer to its target's presence, per squared error at r_v = 1/30."""
+    guided_share: float = 0.7
+    """Paths whose goals are drawn by urgency and nearness, rather than at random."""
+    greed: float = 6.0
+    """Greatest power of that preference."""
+    scatter_au: float = 0.05
+    """How far from a particle a goal may be."""
+    refine_au: float = 0.05
+    """Typical change of a goal in refinement."""
+    unfound_weight: float = 10.0
+    """Weight of a target that was never seen: once found, it can be followed.
+
+    While more targets may exist than are known, an imagined one has this weight too.
+    """
+    motion: MotionSettings = field(default_factory=MotionSettings)
+
+    def horizon(self, speed: float) -> int:
+        """Measurements to look ahead over, for targets of a speed."""
+        return min(self.num_steps, math.ceil(self.walk_au / speed / MEASUREMENT_INTERVAL_AU))
