@@ -70,4 +70,4 @@ def test_a_script_of_ones_own_can_share_work_behind_a_guard(
         [sys.executable, str(path)], capture_output=True, text=True, timeout=60.0, check=False
     )
     assert done.returncode == exit_code, done.stderr
-    assert said in (done.stdout + done.stderr).splitlines()[-1]
+    assert said in done.stdout + done.stderr

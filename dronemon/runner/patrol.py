@@ -28,7 +28,7 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, make_belief
-from dronemon.runner.supervisor import PLANNER_LIMIT_S, Supervisor
+from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
 from dronemon.runner.tally import Tally
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vehicle import Setpoint
@@ -72,7 +72,7 @@ class Patrol:
         self._last_pose: Pose | None = None
         self._last_setpoint_s = -math.inf
         self._unseen: deque[Picture] = deque()  # taken and not yet looked at
-        self._waiting_since_s: float | None = None
+        self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_asked = False
         self._grid_au = belief_grid_au()
         self.tally: Tally | None = None
@@ -90,7 +90,7 @@ class Patrol:
             max_acceleration_m_s2=flight.max_acceleration_m_s2,
         )
         self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
-        self._last_pose, self._waiting_since_s = None, None
+        self._last_pose, self._waiting_since = None, None
         self._is_waypoint_asked = False
         self._work: asyncio.Queue[Picture | None] = asyncio.Queue(_MAX_PENDING)
         self._picture_due = asyncio.Event()
@@ -121,8 +121,7 @@ class Patrol:
             self._events.emit(Moved(pose=pose))
             advice = self._supervisor.ask(
                 is_horizon_flown=self._is_horizon_flown(),
-                is_planner_late=self._waiting_since_s is not None
-                and pose.time_s > self._waiting_since_s + PLANNER_LIMIT_S,
+                is_planner_late=self._is_planner_late(pose),
             )
             if advice.action is not Action.GO_ON:
                 return
@@ -156,12 +155,21 @@ class Patrol:
             and not (self._picture_due.is_set() or self._is_taking)
         )
 
+    def _is_planner_late(self, pose: Pose) -> bool:
+        if self._waiting_since is None:
+            return False
+        since_s, since = self._waiting_since
+        return (
+            pose.time_s > since_s + PLANNER_LIMIT_S
+            and asyncio.get_running_loop().time() > since + PLANNER_LIMIT_WALL_S
+        )
+
     def _ask_for_waypoint(self, pose: Pose) -> None:
         if not self._carrot.needs_waypoint:
-            self._is_waypoint_asked, self._waiting_since_s = False, None
+            self._is_waypoint_asked, self._waiting_since = False, None
             return
-        if self._waiting_since_s is None:
-            self._waiting_since_s = pose.time_s
+        if self._waiting_since is None:
+            self._waiting_since = pose.time_s, asyncio.get_running_loop().time()
         if not self._is_waypoint_asked and not self._work.full():
             self._is_waypoint_asked = True
             self._work.put_nowait(None)

@@ -40,6 +40,8 @@ FAILING_LIMIT_S = 120.0
 """Wall time in which returning and landing are asked for in turn, while both are refused."""
 PLANNER_LIMIT_S = 4.0
 """Vehicle time after a waypoint was due at which the mission loop counts as hung."""
+PLANNER_LIMIT_WALL_S = 1.0
+"""And wall time, so that a busy machine ends no flight of a simulator that runs faster."""
 _HEARTBEATS_TO_BE_SURE = 2
 _OUTCOMES = {
     Reason.HORIZON: "completed",
