@@ -4,7 +4,7 @@ Flies the same development instances (seeds 10000 and up) with the settings of `
 with each change given, and prints Unc, MinOb and JSD of each cell and their mean differences, with
 the standard error over paired instances. Names are those of `SearchSettings` or `MotionSettings`;
 several changes joined by commas are made together. Without changes it prints the ablations: each
-ingredient off (the table in DESIGN.md: `--instances 32`).
+ingredient off (the table in docs/experiments.md: `--instances 32`).
 """
 
 from __future__ import annotations
