@@ -18,8 +18,10 @@ from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
 from dronemon.runner.supervisor import Supervisor
 from dronemon.runner.tally import Tally
+from dronemon.types import Picture
 
 _GROUND_POSES = 20
+_CAMERA_TRIES = 3
 _LAST_LOOK_LIMIT_S = 10.0
 """Wall time for what was taken at the horizon to be looked at."""
 
@@ -126,13 +128,20 @@ class _Flight:
     async def _check_picture(self) -> None:
         """Compare the camera with the mission while still on the ground. Raises CameraError."""
         camera = self._mission.camera
-        height_px, width_px = (await self._setup.camera.capture()).image.shape[:2]
+        height_px, width_px = (await self._first_picture()).image.shape[:2]
         if (width_px, height_px) != (camera.width_px, camera.height_px):
             raise CameraError(
                 f"the camera's pictures are {width_px} x {height_px} pixels, the mission says "
                 f"{camera.width_px} x {camera.height_px}; "
                 "set camera.width_px and camera.height_px to what it sends"
             )
+
+    async def _first_picture(self) -> Picture:
+        """A picture from a camera that may still be waking up. Raises CameraError."""
+        for _ in range(_CAMERA_TRIES - 1):
+            with contextlib.suppress(CameraError):
+                return await self._setup.camera.capture()
+        return await self._setup.camera.capture()
 
     async def _lay_area(self) -> AreaFrame:
         """Lay the square over the ground; its height is what the vehicle reads standing on it."""

@@ -198,6 +198,15 @@ def test_pictures_of_another_size_are_refused_on_the_ground(flight):
     assert flight.link.commands == []
 
 
+def test_a_camera_may_still_wake_up_on_the_ground(flight):
+    def sleep_a_little(link: FakeLink) -> None:
+        link.is_camera_silent = True
+        flight.later(2.0, lambda: setattr(link, "is_camera_silent", False))
+
+    flight.on_link = sleep_a_little
+    assert flight.fly().outcome == "completed"
+
+
 def test_an_interrupt_before_take_off_flies_nothing(flight):
     flight.ask()
     result = flight.fly()
