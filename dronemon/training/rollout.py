@@ -55,40 +55,32 @@ def play(
     choose: Chooser,
 ) -> Rollout:
     """Play one episode per setup; the environment must not end one within `num_decisions`."""
-    observation = env.reset(setups)
-    graphs = env.graphs
+    seen, graphs = [env.reset(setups)], env.graphs
     memory = History(network, graphs, history)
-    seen: list[Observation] = []
-    verdicts: list[Verdict] = []
-    actions, rewards, area_std = [], [], []
+    verdicts = [_judge(memory, seen[0])]
+    actions, steps = [], []
     for _ in range(num_decisions):
-        verdict = _judge(memory, observation)
-        action = choose(verdict, observation)
-        step = env.step(observation.neighbours.gather(1, action[:, None])[:, 0])
-        seen.append(observation)
-        verdicts.append(verdict)
-        actions.append(action)
-        rewards.append(step.reward)
-        area_std.append(step.area_std)
-        observation = step.observation
-    lengths_au = torch.stack([o.length_au for o in [*seen, observation]], dim=1)
-    last = _judge(memory, observation)
-    frames = torch.stack([o.frames for o in seen], dim=1)
+        actions.append(choose(verdicts[-1], seen[-1]))
+        steps.append(env.step(seen[-1].neighbours.gather(1, actions[-1][:, None])[:, 0]))
+        seen.append(steps[-1].observation)
+        verdicts.append(_judge(memory, seen[-1]))
+    lengths_au = torch.stack([o.length_au for o in seen], dim=1)
+    frames = torch.stack([o.frames for o in seen[:-1]], dim=1)
     return Rollout(
         history=history,
         segment=Segment(
             graphs=graphs,
             frames=frames,
-            target_mask=seen[-1].target_mask,  # knows every target that any did
+            target_mask=seen[-2].target_mask,  # knows every target that any before did
             flown=(lengths_au[:, :-1] / WINDOW_AU).to(frames.dtype),
-            nodes=torch.stack([o.node for o in seen], dim=1),
-            tracks=torch.stack([o.tracks for o in seen], dim=1),
+            nodes=torch.stack([o.node for o in seen[:-1]], dim=1),
+            tracks=torch.stack([o.tracks for o in seen[:-1]], dim=1),
         ),
         actions=torch.stack(actions, dim=1),
-        logits=torch.cat([v.logits for v in verdicts], dim=1),
-        values=torch.cat([v.value for v in [*verdicts, last]], dim=1),
-        rewards=torch.stack(rewards, dim=1).float(),
-        area_std=torch.stack(area_std, dim=1).float(),
+        logits=torch.cat([v.logits for v in verdicts[:-1]], dim=1),
+        values=torch.cat([v.value for v in verdicts], dim=1),
+        rewards=torch.stack([s.reward for s in steps], dim=1).float(),
+        area_std=torch.stack([s.area_std for s in steps], dim=1).float(),
         legs_au=lengths_au.diff(dim=1).float(),
     )
 
