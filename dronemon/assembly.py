@@ -54,10 +54,10 @@ async def assemble_and_fly(
     recorder = RunRecorder.create(
         mission_text=_as_flown(mission), mission_name=mission.name, target_names=names, out=out
     )
-    console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
-    console.print("getting ready (the first time code is compiled, for about 15 s)")
     with recorder:
         try:
+            console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
+            console.print("getting ready (the first time code is compiled, for about 15 s)")
             result, truth = await _with_everything(file, planner, follow, recorder, _interrupts())
         except BaseException as exc:
             if recorder.is_empty and SIMULATOR_LOG not in str(exc):  # else one is sent there

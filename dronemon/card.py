@@ -33,11 +33,12 @@ class Scope:
     priors: tuple[Prior, ...] = ("full",)
 
     def outside(
-        self, *, num_targets: int, num_nodes: int, speed_ratio: float | None, prior: Prior
+        self, *, num_targets: int, num_nodes: int, speed_ratio: float | None, unplaced: list[str]
     ) -> list[str]:
         """A sentence for each number of a mission that training never met.
 
         speed_ratio: the targets' speed over the drone's, None where nobody knows it
+        unplaced:    names of the targets whose first position is unknown
         """
         numbers = (
             (num_targets, "targets", self.num_targets),
@@ -49,9 +50,10 @@ class Scope:
             for value, what, (low, high) in numbers
             if value is not None and not low <= value <= high
         ]
-        if prior not in self.priors:
-            known = " or ".join(self.priors)
-            sentences.append(f"prior {prior}: the network was trained with prior {known}")
+        if ("number" if unplaced else "full") not in self.priors:
+            what = f"is unknown of {', '.join(unplaced)}" if unplaced else "is known of all targets"
+            how = "known" if unplaced else "unknown"
+            sentences.append(f"the first position {what}: the network was trained with it {how}")
         return sentences
 
     def __str__(self) -> str:
@@ -137,10 +139,12 @@ def read_card(path: Path) -> Card:
         return Card.of(content)
     except FileNotFoundError as exc:
         raise CheckpointMismatch(f"{path}: no such file") from exc
-    except (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile) as exc:
-        raise CheckpointMismatch(f"{path}: not a readable checkpoint: {exc}") from exc
+    except CheckpointMismatch:
+        raise
     except (AttributeError, KeyError, TypeError) as exc:
         raise CheckpointMismatch(f"{path}: incomplete or from another version: {exc}") from exc
+    except Exception as exc:  # an archive of others may be broken in any way
+        raise CheckpointMismatch(f"{path}: not a readable checkpoint: {exc}") from exc
 
 
 def find_checkpoint(name: str | None) -> Path:

@@ -158,15 +158,15 @@ def _checked(context: typer.Context) -> MissionFile:
     from dronemon.preflight import doubts, load_checked
 
     given = context.params
-    if given["file"] and given["mission"]:
-        raise OptionError(f"the mission is given twice: {given['file']} and --mission; leave one")
+    names = [given[key] for key in ("file", "mission") if given[key] is not None]
+    if len(names) > 1:
+        raise OptionError(f"the mission is given twice: {names[0]} and --mission; leave one")
     overrides = {
         key: (f"--{name.replace('_', '-')}", given[name])
         for name, key in _OVERRIDES.items()
         if given[name] is not None
     }
-    name = given["file"] or given["mission"] or _DEFAULT_MISSION
-    checked = load_checked(name, overrides, given["follow"])
+    checked = load_checked((*names, _DEFAULT_MISSION)[0], overrides, given["follow"])
     for doubt in doubts(checked.mission, given["follow"]):
         print_warning(f"planner {checked.mission.planner.kind}: {doubt}")
     return checked

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import cache
 
 from dronemon.card import find_checkpoint, read_card
-from dronemon.errors import OptionError, PolicyError
+from dronemon.errors import MissionFileError, OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission
-from dronemon.mission.addresses import mavlink_url_problem
+from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.document import Overrides, Problem
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
@@ -21,19 +22,26 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
     name:   of its file, or of a shipped mission
     follow: second MAVLink URL of a real vehicle, for simulated animals and camera to follow it
 
-    Raises MissionFileError that tells all that is wrong; OptionError for `follow`.
+    Raises MissionFileError that tells all that is wrong.
     """
-    if follow is not None and (problem := _follow_problem(follow)):
-        raise OptionError(f"--follow: {problem}")
 
     def problems(mission: Mission) -> Iterator[Problem]:
-        yield from _simulator_problems(mission, has_simulator=follow is not None)
+        yield from _simulator_problems(mission, follow)
         yield from _sight_problems(mission)
         yield from _planner_problems(mission)
 
-    file = load_mission(find_mission(name), overrides, problems)
-    if file.mission.vehicle.is_mock and follow is not None:
-        raise OptionError("--follow goes with --vehicle URL; the mock has its own animals")
+    told = []
+    try:
+        if follow is not None:
+            parse_udpin(follow)
+    except ValueError as exc:
+        told.append(f"--follow: {exc}")
+    try:
+        file = load_mission(find_mission(name), overrides, problems)
+    except MissionFileError as exc:
+        told.append(str(exc))
+    if told:
+        raise MissionFileError("\n".join(told))
     return file
 
 
@@ -61,7 +69,7 @@ def doubts(mission: Mission, follow: str | None) -> list[str]:
         num_targets=len(mission.targets),
         num_nodes=mission.roadmap.num_nodes,
         speed_ratio=mission.simulation.speed_ratio if is_simulated else None,
-        prior="number" if any(t.prior_au is None for t in mission.targets) else "full",
+        unplaced=[target.name for target in mission.targets if target.prior_au is None],
     )
 
 
@@ -70,17 +78,17 @@ def px_per_m(mission: Mission) -> float:
     return mission.camera.model.focal_px / mission.flight.altitude_m
 
 
-def _follow_problem(url: str) -> str | None:
-    if problem := mavlink_url_problem(url):
-        return problem
-    if not url.startswith("udpin://"):
-        return f"{url!r} is not udpin://IP:PORT, such as udpin://127.0.0.1:14550"
-    return None
-
-
-def _simulator_problems(mission: Mission, *, has_simulator: bool) -> Iterator[Problem]:
-    """What only a simulator could give."""
-    if mission.vehicle.is_mock or has_simulator:
+def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Problem]:
+    """What only a simulator could give, and what one beside the vehicle cannot share with it."""
+    url = mission.vehicle.url
+    if follow is not None and mission.vehicle.is_mock:
+        yield (
+            ("vehicle", "url"),
+            "is the mock, which has its own animals; --follow goes with --vehicle URL",
+        )
+    elif follow == url:
+        yield ("vehicle", "url"), f"{url} is --follow's too; have the vehicle stream to two ports"
+    if mission.vehicle.is_mock or follow is not None:
         return
     if mission.camera.is_simulated:
         yield (
@@ -97,24 +105,39 @@ def _simulator_problems(mission: Mission, *, has_simulator: bool) -> Iterator[Pr
 
 
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
-    """Whether the detector can tell animals from the patrol's height."""
+    """Whether the camera sees the whole footprint from the patrol's height, and animals in it."""
     highest_m = mission.camera.model.focal_px / NEEDED_PX_PER_M
     side_m, altitude_m = mission.area.side_m, mission.flight.altitude_m
-    if highest_m < mission.needed_altitude_m:
+    needed_m = mission.needed_altitude_m
+    bank = f"while it banks {math.degrees(mission.flight.bank_rad):.1f} degrees to accelerate"
+    if needed_m == math.inf:
+        yield (
+            ("flight", "altitude_m"),
+            f"no height will do: the camera cannot see what is below the drone {bank}; "
+            "lower max_acceleration_m_s2, or use a camera with a wider view",
+        )
+    elif highest_m < needed_m:
         yield (
             ("area", "side_m"),
             f"{side_m:g} m is too large for the camera: its footprint of "
-            f"{mission.sensor_radius_m:g} m takes {mission.needed_altitude_m:.1f} m of height, but "
+            f"{mission.sensor_radius_m:g} m takes {needed_m:.1f} m of height, but "
             f"above {highest_m:.0f} m a metre is less than the {NEEDED_PX_PER_M:g} pixels that "
-            f"the detector needs; make it {side_m * highest_m / mission.needed_altitude_m:.0f} m "
+            f"the detector needs; make it {side_m * highest_m / needed_m:.0f} m "
             "or less, lower max_acceleration_m_s2, or use a camera with more pixels",
+        )
+    elif altitude_m < needed_m:
+        yield (
+            ("flight", "altitude_m"),
+            f"{altitude_m:g} m is too low: the camera must see {mission.sensor_radius_m:g} m "
+            f"around the drone (0.1 of the area's side) {bank}, which takes {needed_m:.1f} m at "
+            "its angle of view; fly higher, lower max_acceleration_m_s2, or make the area smaller",
         )
     elif altitude_m > highest_m:
         yield (
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too high: a metre on the ground is {px_per_m(mission):.1f} "
             f"pixels of this camera, and the detector needs {NEEDED_PX_PER_M:g} to know an "
-            f"animal; fly at {mission.needed_altitude_m:.1f} to {highest_m:.0f} m, or use a "
+            f"animal; fly at {needed_m:.1f} to {highest_m:.0f} m, or use a "
             "camera with more pixels",
         )
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
@@ -14,8 +16,21 @@ from rich.text import Text
 
 from dronemon.events import Event, Level, Noted, Progressed
 
-console = Console()
-_errors = Console(stderr=True)
+
+class LenientConsole(Console):
+    """Falls silent when its output is closed or full: what nobody reads ends nothing."""
+
+    def _write_buffer(self) -> None:
+        try:
+            super()._write_buffer()
+        except OSError:
+            self.quiet = True
+            with contextlib.suppress(OSError), Path(os.devnull).open("wb") as nowhere:
+                os.dup2(nowhere.fileno(), self.file.fileno())  # what the stream still holds
+
+
+console = LenientConsole()
+_errors = LenientConsole(stderr=True)
 _STYLES: dict[Level, str] = {"INFO": "cyan", "WARN": "yellow", "ERROR": "bold red"}
 _PLAIN_STEP = 0.1
 _BAR_WIDTH = 24
@@ -43,8 +58,7 @@ class FlightDisplay:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(OSError, SystemExit):  # rich turns a closed pipe into SystemExit
-            self._live.stop()
+        self._live.stop()
 
     def take(self, event: Event) -> None:
         """Show what a person wants to know of it; errors go to standard error."""

@@ -22,11 +22,12 @@ from typing import TypeVar
 
 from dronemon.errors import MissionFileError
 from dronemon.mission import Mission
+from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.load import find_mission, load_mission
 from sim.camera import CameraServer
 from sim.faults import parse_fault
 from sim.flight import MockFlight
-from sim.follow import Follower, parse_udpin
+from sim.follow import Follower
 from sim.world import TruthFile, World
 
 _LOG = logging.getLogger("sim")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import re
 from typing import Any, Self
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -35,14 +34,6 @@ _WISHES = (  # command, confirmation, first and second parameter; intervals in m
         1e6 / 30.0,
     ),
 )
-
-
-def parse_udpin(url: str) -> tuple[str, int]:
-    """IP and port of udpin://IP:PORT. Raises ValueError."""
-    match = re.fullmatch(r"udpin://([0-9.]+):(\d{1,5})", url)
-    if match is None or not 0 < int(match[2]) < 65536:
-        raise ValueError(f"{url!r} is not udpin://IP:PORT, such as udpin://127.0.0.1:14550")
-    return match[1], int(match[2])
 
 
 class Follower(asyncio.DatagramProtocol):

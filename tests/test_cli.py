@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -179,7 +180,7 @@ def test_what_the_network_was_not_trained_for_is_told(run, mission):
     assert err.startswith("warning: planner stamp: 0.5 times the drone's speed")
     code, _, err = run("check", mission("fox, prior_au: simulated", "fox"))
     assert code == 0
-    assert "prior number" in err
+    assert "the first position is unknown of Rusty" in err
     assert run("check", mission())[2] == ""
 
 
@@ -202,6 +203,50 @@ def test_real_vehicle_needs_a_camera_or_a_simulator_that_follows(run, mission):
         code, _, err = run("check", "--follow", follow)
         assert code == 2
         assert err.startswith("error: --follow: ")
+    same = "udpin://127.0.0.1:14540"
+    code, _, err = run("check", "--vehicle", same, "--follow", same)
+    assert code == 2
+    assert err.startswith(f"error: --vehicle: {same} is --follow's too")
+    code, _, err = run(
+        "check", mission(ALTITUDE, "altitude_m: 3"), "--follow", "udpin://localhost:14550"
+    )
+    assert code == 2
+    assert "--follow: " in err
+    assert "flight.altitude_m" in err
+
+
+@pytest.mark.parametrize("words", [("",), ("--mission", "")])
+def test_no_name_is_no_mission(run, words):
+    for command in ("check", "fly"):
+        code, _, err = run(command, *words)
+        assert code == 2
+        assert "no shipped mission has this name" in err
+
+
+def test_output_that_cannot_be_written_ends_nothing(mission):
+    command = [sys.executable, "-m", "dronemon.cli", "check", mission()]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    reader, writer = os.pipe()
+    os.close(reader)
+    ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--device", "tpu"), 2, "--device tpu: there is none; give auto, cpu or cuda"),
+        (("--device", "cpu"), 6, "choose another --out"),
+    ],
+)
+def test_where_training_cannot_run_is_told_first(run, tmp_path: Path, words, code, said):
+    (tmp_path / "file").touch()
+    found, _, err = run("train", "--out", str(tmp_path / "file"), *words)
+    assert found == code
+    assert said in err
 
 
 def test_no_vehicle_is_exit_3_within_the_time_out(run, mission, tmp_path: Path):

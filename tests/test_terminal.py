@@ -7,7 +7,7 @@ import io
 from rich.console import Console
 
 from dronemon.events import Moved, Noted, Progressed
-from dronemon.terminal import FlightDisplay
+from dronemon.terminal import FlightDisplay, LenientConsole
 from dronemon.types import Pose
 
 
@@ -35,3 +35,15 @@ def test_a_flight_is_shown_in_any_encoding():
     assert "============------------  50%" in lines[0]
     assert lines[0].endswith("seen: ???? never")
     assert lines[1:] == ["autopilot: höher ?"]
+
+
+def test_a_full_disk_or_a_closed_pipe_ends_no_display():
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(28, "No space left on device")
+
+    for is_terminal in (False, True):
+        console = LenientConsole(file=Full(), force_terminal=is_terminal)
+        with FlightDisplay(console) as display:
+            display.take(Progressed(phase="patrol", flown_au=1.0, horizon_au=2.0, since_seen_s={}))
+            display.take(Noted(time_s=1.0, kind="a", text="b", level="INFO", fields={}))

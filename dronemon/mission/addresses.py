@@ -32,6 +32,14 @@ def mavlink_url_problem(url: str) -> str | None:
     return None
 
 
+def parse_udpin(url: str) -> tuple[str, int]:
+    """IP and port of udpin://IP:PORT, where a simulator follows a vehicle. Raises ValueError."""
+    match = re.fullmatch(r"udpin://(\d{1,3}(?:\.\d{1,3}){3}):(\d{1,5})", url)
+    if match is None or not 0 < int(match[2]) < 65536:
+        raise ValueError(f"{url!r} is not udpin://IP:PORT, such as udpin://127.0.0.1:14550")
+    return match[1], int(match[2])
+
+
 def is_video_file(camera_url: str) -> bool:
     """Whether pictures come from a file: neither the simulator, a camera's number nor a stream."""
     return camera_url != "simulated" and not camera_url.isdigit() and "://" not in camera_url

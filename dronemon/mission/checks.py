@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,8 +16,6 @@ _DESCENT_M_S = 0.7
 def mission_problems(mission: Mission) -> Iterator[Problem]:
     """Each key at fault, and what is wrong."""
     yield from _twins(mission)
-    if problem := _height_problem(mission):
-        yield ("flight", "altitude_m"), problem
     if problem := battery_problem(mission):
         horizon = "horizon_min" if mission.flight.horizon_min is not None else "horizon_au"
         yield ("flight", horizon), problem
@@ -42,24 +39,6 @@ def _twins(mission: Mission) -> Iterator[Problem]:
                     "targets are told apart by it, so give each its own",
                 )
             first.setdefault(value, index)
-
-
-def _height_problem(mission: Mission) -> str | None:
-    """Say why the footprint is not always in the picture, if so."""
-    altitude_m, needed_m = mission.flight.altitude_m, mission.needed_altitude_m
-    bank = f"while it banks {math.degrees(mission.flight.bank_rad):.1f} degrees to accelerate"
-    if needed_m == math.inf:
-        return (
-            f"no height will do: the camera cannot see what is below the drone {bank}; "
-            "lower max_acceleration_m_s2, or use a camera with a wider view"
-        )
-    if altitude_m < needed_m:
-        return (
-            f"{altitude_m:g} m is too low: the camera must see {mission.sensor_radius_m:g} m "
-            f"around the drone (0.1 of the area's side) {bank}, which takes {needed_m:.1f} m at "
-            "its angle of view; fly higher, lower max_acceleration_m_s2, or make the area smaller"
-        )
-    return None
 
 
 def outbound_min(mission: Mission, away_m: float = 0.0) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import difflib
 import types
 import typing
@@ -23,6 +25,7 @@ Problem = tuple[KeyPath, str]
 Overrides = Mapping[tuple[str, str], tuple[str, object]]
 """Section and key -> name and value of a command line option, as if it stood in the file."""
 _MAX_BYTES = 1_000_000
+_MAX_DEPTH = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +53,7 @@ class Document:
         except (OSError, UnicodeDecodeError) as exc:
             raise MissionFileError(f"{path}: cannot be read: {exc}") from exc
         try:
-            _refuse_aliases(path, text)
+            _refuse_traps(path, text)
             root = yaml.compose(text, yaml.SafeLoader)
             data = yaml.safe_load(text)
         except yaml.MarkedYAMLError as exc:
@@ -58,8 +61,6 @@ class Document:
             raise MissionFileError(f"{path}:{line}: not valid YAML: {exc.problem}") from exc
         except (yaml.YAMLError, ValueError) as exc:
             raise MissionFileError(f"{path}: not valid YAML: {exc}") from exc
-        except RecursionError as exc:
-            raise MissionFileError(f"{path}: not valid YAML: nested too deeply") from exc
         if root is None or not isinstance(data, dict):
             raise MissionFileError(f"{path}:1: a {kind} is a mapping of sections, each `name:`")
         overrides = overrides or {}
@@ -77,22 +78,16 @@ class Document:
 
         Raises MissionFileError that tells all that is wrong, a line each, in the file's order.
 
-        check: finds what no single key can say; asked once every key is right by itself.
+        check: finds what no single key can say; wrong keys are left out, if the others can do alone
         """
-        found: list[Problem]
-        try:
-            valid = model.model_validate(self.data)
-            found = list(check(valid))
-        except ValidationError as exc:
-            found = list(_problems(model, exc))
-        told = [self._tell(*problem) for problem in found]
+        told = [self._tell(*problem) for problem in _all_problems(model, self.data, check)]
         told += [
             (line, f"{self.path}:{line}: {key}: given twice; remove one")
             for line, key in _given_twice(self.root)
         ]
         if told:
             raise MissionFileError("\n".join(text for _, text in sorted(told, key=lambda t: t[0])))
-        return valid
+        return model.model_validate(self.data)
 
     def error(self, key_path: KeyPath, message: str) -> MissionFileError:
         """An error about one key of this file, or the option that it came by."""
@@ -116,6 +111,43 @@ class Document:
         return line, f"{self.path}:{line}: {name}: {message}"
 
 
+def _all_problems(
+    model: type[Model], data: dict[str, Any], check: Callable[[Model], Iterable[Problem]]
+) -> list[Problem]:
+    """What is wrong with each key, and with the others without these keys."""
+    try:
+        return list(check(model.model_validate(data)))
+    except ValidationError as exc:
+        found = list(_problems(model, exc))
+    rest = copy.deepcopy(data)
+    removed = [path for key_path, _ in found for path in _take_out(model, rest, key_path)]
+    if removed:
+        known = [key_path for key_path, _ in found] + removed
+        for other, text in _all_problems(model, rest, check):
+            pairs = (zip(path, other, strict=False) for path in known)
+            if not any(all(a == b for a, b in path) for path in pairs):  # inside it, or around it
+                found += [(other, text)]
+    return found
+
+
+def _take_out(model: type[BaseModel], data: dict[str, Any], key_path: KeyPath) -> Iterator[KeyPath]:
+    """Remove a wrong value; that of a misspelt key goes to the key that it stands for."""
+    with contextlib.suppress(KeyError, ValueError):  # it is not there
+        *above, key = key_path
+        holder: Any = data
+        for part in above:
+            holder = holder[part]
+        if isinstance(holder, list):
+            yield from _take_out(model, data, tuple(above))
+            return
+        value = holder.pop(key)
+        yield key_path
+        if key not in _fields(model, key_path):
+            for near in _nearest(model, key_path):
+                holder.setdefault(near, value)
+                yield (*above, near)
+
+
 def _problems(model: type[BaseModel], exc: ValidationError) -> Iterator[Problem]:
     """What is wrong with data for a model: each key and its explanation, misspelt keys first."""
     found = sorted(exc.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
@@ -136,12 +168,16 @@ def _problems(model: type[BaseModel], exc: ValidationError) -> Iterator[Problem]
             told.add(key_path)
 
 
-def _refuse_aliases(path: Path, text: str) -> None:
-    """Nobody needs them, and a few lines of them can stand for more than fits into memory."""
+def _refuse_traps(path: Path, text: str) -> None:
+    """Nobody needs aliases or depth; a few lines of them can take all memory, or minutes."""
+    depth = 0
     for event in yaml.parse(text, yaml.SafeLoader):
-        if isinstance(event, yaml.AliasEvent):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MAX_DEPTH or isinstance(event, yaml.AliasEvent):
             line = event.start_mark.line + 1 if event.start_mark else 1
-            raise MissionFileError(f"{path}:{line}: *{event.anchor}: aliases are not allowed")
+            what = "nested too deeply" if depth > _MAX_DEPTH else "aliases are not allowed"
+            raise MissionFileError(f"{path}:{line}: {what}")
 
 
 def _given_twice(node: yaml.Node) -> Iterator[tuple[int, str]]:
@@ -172,9 +208,12 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
     kind, message, given = error["type"], str(error["msg"]), error["input"]
     if kind == "extra_forbidden":
         hint = "".join(f"; did you mean `{near}`?" for near in _nearest(model, error["loc"]))
-        return f"no such key{hint} (allowed here: {', '.join(_allowed(model, error['loc']))})"
+        return f"no such key{hint} (allowed here: {', '.join(_fields(model, error['loc']))})"
     if kind == "missing":
         return "is missing; add it"
+    key_path = tuple(takewhile(_is_key, error["loc"]))
+    if kind == "tuple_type" and (about := _fields(model, key_path)[key_path[-1]].description):
+        return f"{given!r} cannot be this: {about}"
     if kind == "value_error":
         return message.removeprefix("Value error, ")
     text = f"{message[0].lower()}{message[1:]}, but is {given!r}"
@@ -185,15 +224,15 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
 
 def _nearest(model: Any, key_path: KeyPath) -> list[str]:
     """The allowed key that an unknown one is most like, if it is like one."""
-    return difflib.get_close_matches(str(key_path[-1]), _allowed(model, key_path), n=1, cutoff=0.4)
+    return difflib.get_close_matches(str(key_path[-1]), _fields(model, key_path), n=1, cutoff=0.4)
 
 
-def _allowed(model: Any, key_path: KeyPath) -> list[str]:
-    """The keys of the section that a key lies in."""
+def _fields(model: Any, key_path: KeyPath) -> Any:
+    """The keys, and what is said of them, of the section that a key lies in."""
     for key in key_path[:-1]:
         if isinstance(key, str):
             model = _model_of(model.model_fields[key].annotation)
-    return list(model.model_fields)
+    return model.model_fields
 
 
 def _is_key(part: str | int) -> bool:

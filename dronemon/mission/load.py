@@ -49,7 +49,7 @@ def find_mission(name: str) -> Path:
     if name in missions:
         return missions[name]
     raise MissionFileError(
-        f"{name}: no shipped mission has this name; there are: {', '.join(missions)} "
+        f"{name!r}: no shipped mission has this name; there are: {', '.join(missions)} "
         "(or give the path of a .yaml file)"
     )
 

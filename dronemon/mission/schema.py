@@ -91,7 +91,7 @@ class Flight(Section):
         description="Flight time of a full battery; the check before take-off uses it.",
     )
     start_au: Place | None = Field(
-        None, description="Where the patrol starts; drawn from the seed if absent."
+        None, description="Where the patrol starts, [x, y] from 0 to 1; drawn if absent."
     )
 
     @model_validator(mode="after")
@@ -189,11 +189,15 @@ class Target(Section):
     """One animal to watch."""
 
     name: str = Field(min_length=1, max_length=40, description="What records and tables call it.")
-    appearance: Appearance = Field(description="What it looks like; the detector knows it by that.")
+    appearance: Appearance = Field(
+        description="What it looks like, one target at most as each of "
+        f"{', '.join(APPEARANCES)}: the detector knows it by that."
+    )
     prior_au: Place | Literal["simulated"] | None = Field(
         None,
-        description="Position known before take-off; `simulated` takes it from the "
-        "simulated world; absent: unknown.",
+        description="Position known before take-off: [x, y] from 0 to 1, or `simulated`, which "
+        "takes it from the simulated world; x runs east and y north from the area's south-west "
+        "corner; unknown if absent.",
     )
 
 

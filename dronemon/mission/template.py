@@ -8,12 +8,11 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from dronemon.mission.schema import Mission
+from dronemon.mission.schema import Mission, Target
 
 _TARGETS = """\
-targets:  # {about}
-  - {{name: Bella, appearance: cow, prior_au: simulated}}
-  - {{name: Zuri, appearance: zebra}}"""
+  - {name: Bella, appearance: cow, prior_au: simulated}
+  - {name: Zuri, appearance: zebra}"""
 
 
 def mission_template() -> str:
@@ -22,7 +21,9 @@ def mission_template() -> str:
     for key, field in Mission.model_fields.items():
         section = field.annotation
         if key == "targets":
-            lines.append(_TARGETS.format(about=field.description))
+            lines.append(f"\n{key}:  # {field.description}")
+            lines += [f"  # {k}: {f.description}" for k, f in Target.model_fields.items()]
+            lines.append(_TARGETS)
         elif isinstance(section, type) and issubclass(section, BaseModel):
             about = (section.__doc__ or "").split("\n")[0]
             lines.append(f"\n{key}:  # {about}")

@@ -11,6 +11,8 @@ import torch
 import torch.distributed as dist
 from torch import nn
 
+from dronemon.errors import OptionError
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peers:
@@ -70,9 +72,15 @@ def join_peers(device_name: str) -> Iterator[Peers]:
 
 
 def own_device(name: str) -> torch.device:
-    """The device of this process: `auto` is its own GPU if there is one, else the CPU."""
+    """The device of this process: `auto` is its own GPU if there is one, else the CPU.
+
+    Raises OptionError if there is no such device.
+    """
+    has_cuda = torch.cuda.is_available()
     if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name == "cuda":
+        name = "cuda" if has_cuda else "cpu"
+    if name == "cuda" and has_cuda:
         return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+    if name != "cpu":
+        raise OptionError(f"--device {name}: there is none; give auto, cpu or cuda")
     return torch.device(name)

@@ -16,11 +16,12 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import torch
 
-from dronemon.errors import CheckpointMismatch
+from dronemon.errors import CheckpointMismatch, RecordError
 from dronemon.policy import (
     Card,
     PolicyNetwork,
@@ -112,13 +113,14 @@ class _Run:
 def train(plan: Plan, *, command: str, listen: Listener) -> Path:
     """Train, or go on with the run in `plan.out`. -> path of the best checkpoint.
 
-    Raises CheckpointMismatch if `plan.out` holds a run of another plan, or the start is unusable.
+    Raises CheckpointMismatch if `plan.out` holds a run of another plan, or the start is unusable;
+    OptionError if there is no such device; RecordError if `plan.out` cannot be written.
     """
     code_version()  # for the card: the files may change while it trains
     with join_peers(plan.device) as peers:
+        _claim(plan.out)
         training = _Training(plan, command, peers)
         if peers.is_first:
-            plan.out.mkdir(parents=True, exist_ok=True)
             (plan.out / "recipe.yaml").write_text(plan.recipe.text, encoding="utf-8")
         while training.progress < 1.0:
             metrics = training.iterate()
@@ -242,6 +244,15 @@ class _Training:
         run = _Run(**state["run"])
         _forget_lines(path.with_name("metrics.jsonl"), run.iteration)
         return run
+
+
+def _claim(folder: Path) -> None:
+    """Make sure that a run can be written there. Raises RecordError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+    except OSError as exc:
+        raise RecordError(f"{folder}: {exc.strerror}; choose another --out") from exc
 
 
 def _first_weights(plan: Plan) -> PolicyNetwork:

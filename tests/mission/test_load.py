@@ -10,6 +10,8 @@ from dronemon.errors import MissionFileError
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.template import mission_template
+from dronemon.preflight import load_checked
+from dronemon.types import APPEARANCES
 
 ROOT = Path(__file__).parents[2]
 ANIMALS = (ROOT / "missions" / "animals.yaml").read_text().split("\n", 1)[1]
@@ -20,7 +22,7 @@ def _error(tmp_path: Path, text: str) -> str:
     path = tmp_path / "m.yaml"
     path.write_text(text)
     with pytest.raises(MissionFileError) as caught:
-        load_mission(path)
+        load_checked(str(path), {}, None)
     return str(caught.value).removeprefix(str(path))
 
 
@@ -51,6 +53,9 @@ def test_animals_is_the_papers_experiment():
         ("name: animals", "nome: animals", 2, ["nome", "did you mean `name`"]),
         ("seed: 0", "seed: 0\n  seed: 1", 17, ["seed", "given twice"]),
         ("prior_au: simulated", "prior_au: [2, 3]", 10, ["targets[0].prior_au"]),
+        ("prior_au: simulated", "prior_au: simulate", 10, ["[x, y] from 0 to 1, or `simulated`"]),
+        ("prior_au: simulated", "prior_au: 0.5 0.5", 10, ["[x, y] from 0 to 1, or `simulated`"]),
+        (ALTITUDE, "start_au: 0.5 0.5", 6, ["flight.start_au", "[x, y] from 0 to 1"]),
         ("side_m: 200", "latitude_deg: 3", 3, ["area", "longitude_deg"]),
         ("horizon_au: 30", "horizon_au: 30\n  horizon_min: 3", 5, ["flight", "not both"]),
         ("targets:", "targets: [", 10, ["not valid YAML"]),
@@ -91,7 +96,9 @@ def test_yaml_cannot_make_objects(tmp_path: Path):
     [
         ("a: &a [*a]", "aliases are not allowed"),
         ("a: &a [1]\nb: &b [*a, *a]", "aliases are not allowed"),
-        ("[" * 2000 + "]" * 2000, "nested too deeply"),
+        ("[" * 100_000, "nested too deeply"),
+        ("name: a\n" + "- " * 50_000, "not valid YAML"),
+        ("name:\n " + "- " * 50_000, "nested too deeply"),
     ],
 )
 def test_hostile_yaml(tmp_path: Path, text: str, words: str):
@@ -149,6 +156,47 @@ def test_what_keys_say_together_is_told_at_once(tmp_path: Path):
     assert len(lines) == 4
     for line, words in zip(lines, ("too low", "battery", "appearance", "name"), strict=True):
         assert words in line
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ("speed_ratio: 0.05", "speed_ratio: fast"),
+        ("seed: 0", "sed: 0"),
+        ("appearance: fox", "apearance: fox"),
+        ("simulation:", "view: {port: 1}\nsimulation:"),
+        ("simulation:", "vehicle: {url: nowhere}\nsimulation:"),
+        (ALTITUDE, ALTITUDE + "\n  start_au: [0.5, 3]"),
+    ],
+)
+def test_a_wrong_key_hides_nothing_of_what_others_say_together(
+    tmp_path: Path, wrong: tuple[str, str]
+):
+    text = ANIMALS.replace(*wrong).replace("horizon_au: 30", "horizon_au: 60")
+    text = text.replace("kind: stamp", "kind: stemp").replace(ALTITUDE, "altitude_m: 300")
+    lines = _error(tmp_path, text).splitlines()
+    assert len(lines) == 4
+    for words in ("battery allows", "too high", "did you mean stamp"):
+        assert sum(words in line for line in lines) == 1
+
+
+def test_what_is_told_of_a_wrong_key_is_told_once(tmp_path: Path):
+    for wrong in ("altitude_m: 3 m", "altitud: 3", "altitud: 3 m"):
+        assert len(_error(tmp_path, ANIMALS.replace(ALTITUDE, wrong)).splitlines()) == 1
+    text = ANIMALS.replace(ALTITUDE, "latitude_deg: no").replace("targets:", "targets: 3\nx:")
+    assert len(_error(tmp_path, text).splitlines()) == 3
+
+
+def test_no_height_and_a_large_side_are_each_one_fact(tmp_path: Path):
+    message = _error(tmp_path, ANIMALS + "camera: {horizontal_fov_deg: 10}\n")
+    assert len(message.splitlines()) == 1
+    assert "no height will do" in message
+    message = _error(
+        tmp_path,
+        ANIMALS.replace("side_m: 200", "side_m: 300").replace("horizon_au: 30", "horizon_au: 9"),
+    )
+    assert len(message.splitlines()) == 1
+    assert "too large" in message
 
 
 def test_a_misspelt_key_is_not_missing_too(tmp_path: Path):
@@ -224,6 +272,8 @@ def test_a_mission_to_start_from_says_what_the_schema_says(tmp_path: Path):
     path = tmp_path / "m.yaml"
     path.write_text(mission_template())
     mission = load_mission(path).mission
+    for words in (*APPEARANCES, "one target at most", "x runs east and y north", "`simulated`"):
+        assert words in path.read_text()
     assert mission == Mission(targets=mission.targets)
     for section in Mission.model_fields.values():
         for key, field in getattr(section.annotation, "model_fields", {}).items():

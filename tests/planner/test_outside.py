@@ -37,7 +37,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         sys.modules.pop(name, None)
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=[c.split()[0] for c in COMMANDS])
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(c, marks=[pytest.mark.flights] * c.startswith("fly ")) for c in COMMANDS],
+    ids=[c.split()[0] for c in COMMANDS],
+)
 def test_every_command_of_the_page_works_as_it_stands(
     folder: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:

@@ -67,11 +67,11 @@ def test_the_card_is_a_page() -> None:
         ({"num_targets": 9}, "9 targets: the network was trained for 2 to 8"),
         ({"num_nodes": 149}, "149 nodes of the roadmap: the network was trained for 150 to 200"),
         ({"speed_ratio": 0.2}, "0.2 times the drone's speed for the targets: the network was"),
-        ({"prior": "number"}, "prior number: the network was trained with prior full"),
+        ({"unplaced": ["Zuri", "Rua"]}, "the first position is unknown of Zuri, Rua: the network"),
     ],
 )
 def test_what_lies_outside_training_is_said(mission: dict[str, Any], sentence: str | None) -> None:
-    usual = {"num_targets": 2, "num_nodes": 200, "speed_ratio": 0.025, "prior": "full"}
+    usual = {"num_targets": 2, "num_nodes": 200, "speed_ratio": 0.025, "unplaced": []}
     assert CARD.scope is not None
     said = CARD.scope.outside(**{**usual, **mission})
     assert len(said) == (sentence is not None)
@@ -103,6 +103,16 @@ def test_a_damaged_file_is_refused(saved: Path, position: float) -> None:
     saved.write_bytes(content)
     with pytest.raises(CheckpointMismatch):
         load_checkpoint(saved)
+
+
+@pytest.mark.parametrize("content", [b"\x80\x02.", b"R" * 300, b"0.", b"\x80\x02e", b"PK\x03\x04"])
+def test_foreign_bytes_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "foreign.pt"
+    path.write_bytes(content)
+    with pytest.raises(CheckpointMismatch, match=r"foreign\.pt"):
+        load_checkpoint(path)
+    with pytest.raises(CheckpointMismatch, match=r"foreign\.pt"):
+        read_card(path)
 
 
 def test_half_a_file_is_refused(saved: Path) -> None:

@@ -9,9 +9,10 @@ from typing import cast
 import pytest
 from ground_station import GroundStation, make_mission
 
+from dronemon.mission.addresses import parse_udpin
 from sim.camera import CameraServer
 from sim.flight import MockFlight
-from sim.follow import Follower, parse_udpin
+from sim.follow import Follower
 from sim.modes import Px4Mode
 from sim.scene import Scene
 from sim.world import World
