@@ -24,6 +24,9 @@ these at their one seam.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+
 
 class DronemonError(Exception):
     """Base of all errors below; `exit_code` is what the command line returns for it."""
@@ -117,3 +120,14 @@ class ViewError(DronemonError):
     """The recording or the live view cannot be started."""
 
     exit_code = 7
+
+
+@contextlib.contextmanager
+def blaming(who: str, error: type[DronemonError]) -> Iterator[None]:
+    """Make whatever the body's foreign code raises an error that names who did."""
+    try:
+        yield
+    except error:
+        raise
+    except (Exception, SystemExit) as exc:
+        raise error(f"{who} failed: {exc!r}") from exc

@@ -181,7 +181,7 @@ class RunRecorder:
 
     def _write_summary(self, summary: Mapping[str, object]) -> None:
         head = {"started": self._started, "targets": self._names}
-        text = json.dumps(_plain({**head, **summary}), indent=2, ensure_ascii=False) + "\n"
+        text = json.dumps(json_value({**head, **summary}), indent=2, ensure_ascii=False) + "\n"
         temporary = self.folder.path / f".{SUMMARY_FILE}.part"
         with contextlib.suppress(FileNotFoundError):
             temporary.unlink()
@@ -337,20 +337,21 @@ def _fingerprint(path: Path) -> dict[str, object]:
 
 
 def _json_line(record: Mapping[str, object]) -> bytes:
-    text = json.dumps(_plain(record), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.encode() + b"\n"
+    plain = json_value(record)
+    text = json.dumps(plain, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return text.encode(errors="backslashreplace") + b"\n"  # a lone surrogate as JSON escapes it
 
 
-def _plain(value: object) -> object:
+def json_value(value: object) -> object:
     """Give a JSON value: lists for arrays, null for NaN, its text for what JSON does not know."""
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return json_value(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
+        return [json_value(item) for item in value]
     if value is None or isinstance(value, bool | int | str):
         return value
     return str(value)

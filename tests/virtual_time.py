@@ -1,7 +1,7 @@
 """An event loop whose time jumps to the next timer, so that hours of waiting take milliseconds.
 
-Time stands still while a planner thinks: its thread is real. What else would run in a thread runs
-at once.
+Time stands still while a planner or detector thinks: its thread is real. What else would run in
+a thread runs at once.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _JumpingSelector(selectors.DefaultSelector):
         if timeout is None:  # only while the loop closes
             return super().select(1.0)
         is_thinking = any(
-            thread.name == "planner" and thread not in _hanging for thread in threading.enumerate()
+            thread.name == "foreign" and thread not in _hanging for thread in threading.enumerate()
         )
         ready = super().select(0.0)
         if ready or timeout <= 0.0:

@@ -14,7 +14,7 @@ import numpy as np
 
 from dronemon.arena import ARENA
 from dronemon.belief import Belief, EpisodeMetrics, episode_metrics
-from dronemon.errors import PlannerError
+from dronemon.errors import PlannerError, blaming
 from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
 from dronemon.planner.motion import waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, Prior
@@ -102,28 +102,27 @@ def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) ->
         planner.foresee(targets_at)
         told = "full"
     agent = _Agent(instance.start_au, targets_at, conditions, told)
-    planner.reset(
-        Briefing(
-            num_targets=agent.knowledge.sightings.num_targets,
-            priors_au=agent.knowledge.sightings.priors_au,
-            start_au=instance.start_au,
-            horizon_au=conditions.horizon_au,
-            rng=instance.stream("planner"),
-        ),
-        roadmap,
+    briefing = Briefing(
+        num_targets=agent.knowledge.sightings.num_targets,
+        priors_au=agent.knowledge.sightings.priors_au.copy(),
+        start_au=instance.start_au.copy(),
+        horizon_au=conditions.horizon_au,
+        rng=instance.stream("planner"),
     )
+    who = f"planner {planner.name}, seed {instance.seed},"
+    with blaming(who, PlannerError):
+        planner.reset(briefing, roadmap)
     decisions_s = []
     while not agent.is_done:
         snapshot = agent.snapshot(roadmap)
         began_s = time.perf_counter()
-        waypoint = planner.next_waypoint(snapshot)
-        decisions_s.append(time.perf_counter() - began_s)
-        if flaw := waypoint_flaw(waypoint.position_au, snapshot.position_au, ARENA):
-            raise PlannerError(
-                f"planner {planner.name}, seed {instance.seed}, gave at {snapshot.time_au:.3f} au"
-                f" {flaw}"
-            )
-        agent.fly_to(waypoint.position_au, waypoint.node)
+        with blaming(who, PlannerError):
+            waypoint = planner.next_waypoint(snapshot)
+            decisions_s.append(time.perf_counter() - began_s)
+            flaw = waypoint_flaw(waypoint, agent.position_au, ARENA)
+        if flaw:
+            raise PlannerError(f"{who} gave at {snapshot.time_au:.3f} au {flaw}")
+        agent.fly_to(np.array(waypoint.position_au, dtype=np.float64), waypoint.node)
     return agent.episode(np.array(decisions_s))
 
 
@@ -137,7 +136,7 @@ class _Agent:
         self._times_au = measurement_times_au(conditions.num_measurements)
         self._targets_au = targets_at(self._times_au)
         self._agent_au = [start_au]
-        self._position_au = start_au
+        self.position_au = start_au
         self._residual_au = 0.0
         self._node: int | None = 0  # the roadmap's first node is the start
         self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
@@ -154,7 +153,7 @@ class _Agent:
         return Snapshot(
             time_au=time_au,
             flown_au=time_au,
-            position_au=self._position_au,
+            position_au=self.position_au.copy(),
             node=self._node,
             sightings=self.knowledge.sightings,
             belief=self.knowledge.belief,
@@ -164,7 +163,7 @@ class _Agent:
 
     def fly_to(self, waypoint_au: FloatArray, node: int | None) -> None:
         """Fly to a place of the arena, measuring on the way."""
-        leg = sample_leg(self._position_au, waypoint_au, self._residual_au)
+        leg = sample_leg(self.position_au, waypoint_au, self._residual_au)
         for position_au in leg.positions_au:
             if self.is_done:
                 break
@@ -173,7 +172,7 @@ class _Agent:
             self._agent_au.append(position_au)
             self._observed.append(truth.seen)
             self.knowledge.take(truth)
-        self._position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
+        self.position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
 
     def episode(self, decisions_s: FloatArray) -> Episode:
         """Give the record of a finished episode."""

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from dronemon.arena import Arena
+from dronemon.planner.planner import Waypoint
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.types import FloatArray
 
@@ -16,8 +17,15 @@ ORBIT_RADIUS_AU = 0.05
 ORBIT_STEP_RAD = math.pi / 3.0
 
 
-def waypoint_flaw(waypoint_au: FloatArray, here_au: FloatArray, arena: Arena) -> str | None:
-    """Why a waypoint cannot be flown to; None if it can. waypoint_au, here_au: (2,) au."""
+def waypoint_flaw(waypoint: object, here_au: FloatArray, arena: Arena) -> str | None:
+    """Why a planner's answer cannot be flown to; None if it can. here_au: (2,) au."""
+    if not isinstance(waypoint, Waypoint):
+        return f"{waypoint!r:.80}, which is no Waypoint"
+    waypoint_au = np.asarray(waypoint.position_au)
+    if waypoint_au.shape != (2,) or waypoint_au.dtype.kind not in "fiu":
+        return f"waypoint {waypoint.position_au!r:.80}, which is not two numbers"
+    if not isinstance(waypoint.node, int | np.integer | None):
+        return f"node {waypoint.node!r:.80}, which is no number of a node"
     if not np.isfinite(waypoint_au).all():
         return f"waypoint {waypoint_au}, which is no place"
     if not arena.segment_is_free(here_au, waypoint_au):

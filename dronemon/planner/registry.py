@@ -122,11 +122,13 @@ def _make_outside(path: str) -> Planner:
     make = _find_class(path)
     try:
         planner = make()
-    except Exception as exc:  # a class of others may fail in any way
+        given = {m: getattr(planner, m, None) for m in ("name", "reset", "next_waypoint")}
+    except (Exception, SystemExit) as exc:  # a class of others may fail in any way
         raise OptionError(
             f"planner {path!r} cannot be made by calling it without arguments: {exc!r}"
         ) from exc
-    if missing := [m for m in ("name", "reset", "next_waypoint") if not hasattr(planner, m)]:
+    is_right = {m: callable(it) or (m == "name" and isinstance(it, str)) for m, it in given.items()}
+    if missing := [m for m in given if not is_right[m]]:
         raise OptionError(
             f"planner {path!r} has no {' and no '.join(missing)}; "
             "docs/your-own-planner.md shows what a planner gives"
@@ -143,7 +145,7 @@ def _find_class(path: str) -> Callable[[], Planner]:
         sys.path.append(str(Path.cwd()))
     try:
         module = importlib.import_module(match[1])
-    except Exception as exc:  # a module of others may fail in any way
+    except (Exception, SystemExit) as exc:  # a module of others may fail in any way
         raise OptionError(
             f"planner {path!r}: module {match[1]} cannot be imported: {exc!r}; run where it lies, "
             "or install it"

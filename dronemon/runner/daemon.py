@@ -9,23 +9,34 @@ from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
 
+from dronemon.errors import DronemonError
+
 T = TypeVar("T")
 
 
-async def in_daemon_thread(call: Callable[[], T]) -> T:
-    """Run a planner where it can hang without keeping the program from ending."""
+async def in_daemon_thread(
+    call: Callable[[], T], who: str, error: type[DronemonError], limit_s: float | None = None
+) -> T:
+    """Run foreign code where it can hang without keeping the program from ending.
+
+    Raises `error`, which names `who`, for whatever it raises, and after `limit_s` of wall time.
+    """
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[T] = loop.create_future()
 
     def work() -> None:
         try:
-            result = call()
-        except Exception as exc:  # noqa: BLE001 - a planner may fail in any way; the drone returns
+            settle = partial(answer.set_result, call())
+        except error as exc:
             settle = partial(answer.set_exception, exc)
-        else:
-            settle = partial(answer.set_result, result)
+        except BaseException as exc:  # noqa: BLE001 - sys.exit too; the drone returns
+            settle = partial(answer.set_exception, error(f"{who} failed: {exc!r}"))
         with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
             loop.call_soon_threadsafe(lambda: answer.cancelled() or settle())
 
-    threading.Thread(target=work, name="planner", daemon=True).start()
-    return await answer
+    threading.Thread(target=work, name="foreign", daemon=True).start()
+    try:
+        async with asyncio.timeout(limit_s):
+            return await answer
+    except TimeoutError:
+        raise error(f"{who} gave no answer for {limit_s:g} s") from None

@@ -6,14 +6,16 @@ import asyncio
 import contextlib
 import math
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 
-from dronemon.errors import CameraError, DronemonError
+from dronemon.errors import CameraError, DronemonError, PlannerError
 from dronemon.events import AreaLaid, EventStream, Progressed
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import State
 from dronemon.mission.checks import battery_problem
+from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
 from dronemon.runner.supervisor import Supervisor
@@ -22,8 +24,8 @@ from dronemon.types import Picture
 
 _GROUND_POSES = 20
 _CAMERA_TRIES = 3
-_LAST_LOOK_LIMIT_S = 10.0
-"""Wall time for what was taken at the horizon to be looked at."""
+_RESET_LIMIT_S = 30.0
+"""Wall time for the planner to begin a mission, as it has done in the rehearsal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +107,9 @@ class _Flight:
             self._check_distance(frame)
             start_au, roadmap = draw_start_and_roadmap(mission)
             briefing = brief(mission, setup.priors_au, start_au, stream="planner")
-            await asyncio.to_thread(setup.planner.reset, briefing, roadmap)
+            reset = partial(setup.planner.reset, briefing, roadmap)
+            who = f"planner '{setup.planner.name}'"
+            await in_daemon_thread(reset, who, PlannerError, _RESET_LIMIT_S)
             edges = np.argwhere(roadmap.edge_lengths_au.toarray() > 0)
             self._events.emit(
                 AreaLaid(
@@ -189,8 +193,7 @@ class _Flight:
 
     async def _look_at_the_rest(self, patrol: Patrol) -> None:
         try:
-            async with asyncio.timeout(_LAST_LOOK_LIMIT_S):
-                await patrol.look_at_the_rest()
+            await patrol.look_at_the_rest()
         except Exception as exc:  # noqa: BLE001 - nothing may disturb the way home
             self._events.note("failure", f"the last picture was lost: {exc!r}", level="WARN")
 

@@ -25,9 +25,9 @@ class Interrupts:
             self._on_request()
 
     @contextlib.asynccontextmanager
-    async def leaving(self) -> AsyncIterator[None]:
-        """Leave the body at the first request. Raises Interrupted then."""
-        if self.count:
+    async def leaving(self, after: int = 0) -> AsyncIterator[None]:
+        """Leave the body at the first request after so many. Raises Interrupted then."""
+        if self.count > after:
             raise Interrupted
         loop = asyncio.get_running_loop()
         try:

@@ -11,20 +11,20 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
 from dronemon.arena import ARENA
-from dronemon.errors import PlannerError
+from dronemon.errors import CameraError, PlannerError
 from dronemon.events import Believed, Decided, EventStream, Measured, Moved, Pictured, Progressed
 from dronemon.frames import AreaFrame
 from dronemon.guard import Action
 from dronemon.guidance import Carrot
-from dronemon.planner import Snapshot
+from dronemon.planner import Snapshot, Waypoint
 from dronemon.planner.motion import waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
+from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, make_belief
@@ -39,6 +39,8 @@ from dronemon.viz import belief_grid_au
 SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
 _MAX_PENDING = 4
+_LOOK_LIMIT_S = 3.0
+"""Wall time for the detector; before its delay makes the planner late."""
 
 
 class Patrol:
@@ -219,22 +221,16 @@ class Patrol:
         assert tally is not None  # pictures are asked for only once the patrol has begun
         before, after = await self._link.poses_around(picture.time_s)
         pose = interpolate_pose(before, after, picture.time_s)
-        detections = await asyncio.to_thread(
-            self._setup.detector.detect, picture.image, pose, self._frame.ground_down_m
-        )
-        measurement = observe(
-            detections,
-            pose=pose,
-            camera=self._mission.camera.model,
-            frame=self._frame,
-            appearances=self._appearances,
-            time_au=self._frame.s_to_au(picture.time_s - tally.start_s),
+        time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
+        look = partial(self._detect, picture, pose, time_au)
+        detections, measurement, score = await in_daemon_thread(
+            look, "the detector", CameraError, _LOOK_LIMIT_S
         )
         self._events.emit(
             Measured(
                 time_s=picture.time_s,
                 measurement=measurement,
-                score=self._scores(detections, measurement),
+                score=score,
                 battery=self._link.state.battery,
                 cross_track_m=tally.cross_track_m[-1] if tally.cross_track_m else None,
             )
@@ -249,11 +245,23 @@ class Patrol:
             self._events.emit(Pictured(picture=picture, detections=detections, pose=pose))
         await self._show_beliefs(picture.time_s, measurement.time_au)
 
-    def _scores(self, detections: Sequence[Detection], measurement: Measurement) -> FloatArray:
-        """Confidence of each target seen. -> (N,), NaN where it was not."""
+    def _detect(
+        self, picture: Picture, pose: Pose, time_au: float
+    ) -> tuple[tuple[Detection, ...], Measurement, FloatArray]:
+        """What the detector finds, what that says of the targets, (N,) how surely. In a thread."""
+        find, ground_down_m = self._setup.detector.detect, self._frame.ground_down_m
+        detections = tuple(find(picture.image, pose, ground_down_m))
+        measurement = observe(
+            detections,
+            pose=pose,
+            camera=self._mission.camera.model,
+            frame=self._frame,
+            appearances=self._appearances,
+            time_au=time_au,
+        )
         best = {d.appearance: d.score for d in sorted(detections, key=lambda d: d.score)}
-        scores = np.array([best.get(appearance, np.nan) for appearance in self._appearances])
-        return np.where(measurement.seen, scores, np.nan)
+        scores = [float(best.get(appearance, np.nan)) for appearance in self._appearances]
+        return detections, measurement, np.where(measurement.seen, scores, np.nan)
 
     async def _show_beliefs(self, time_s: float, time_au: float) -> None:
         rows, columns, _ = self._grid_au.shape
@@ -272,22 +280,16 @@ class Patrol:
             self._events.note("patrol", "the patrol begins")
         snapshot = self._snapshot(self.tally, now_s)
         began = time.perf_counter()
-        planner = self._setup.planner
-        try:
-            waypoint = await in_daemon_thread(partial(planner.next_waypoint, snapshot))
-        except Exception as exc:
-            raise PlannerError(
-                f"planner '{planner.name}' failed: {exc!r}; the drone returns"
-            ) from exc
+        waypoint = await in_daemon_thread(
+            partial(self._decide, snapshot), f"planner '{self._setup.planner.name}'", PlannerError
+        )
         decision_ms = (time.perf_counter() - began) * 1e3
-        if flaw := waypoint_flaw(waypoint.position_au, snapshot.position_au, ARENA):
-            raise PlannerError(f"planner '{planner.name}' gave {flaw}; the drone returns")
-        waypoint_au = ARENA.clip(waypoint.position_au)
+        waypoint_au = waypoint.position_au
         self._events.emit(
             Decided(
                 time_s=now_s,
                 time_au=snapshot.time_au,
-                position_au=snapshot.position_au,
+                position_au=self._waypoint_au,
                 waypoint_au=waypoint_au,
                 node=waypoint.node,
                 decision_ms=decision_ms,
@@ -299,6 +301,17 @@ class Patrol:
         self._waypoint_au, self._node = waypoint_au, waypoint.node
         self._is_waypoint_asked = False
 
+    def _decide(self, snapshot: Snapshot) -> Waypoint:
+        """The planner's choice, judged, its details as they can be recorded; runs in a thread."""
+        waypoint = self._setup.planner.next_waypoint(snapshot)
+        if flaw := waypoint_flaw(waypoint, self._waypoint_au, ARENA):
+            raise PlannerError(f"planner '{self._setup.planner.name}' gave {flaw}")
+        return Waypoint(
+            position_au=ARENA.clip(waypoint.position_au),
+            node=waypoint.node,
+            details={str(name): json_value(value) for name, value in waypoint.details.items()},
+        )
+
     def _snapshot(self, tally: Tally, now_s: float) -> Snapshot:
         """What the planner is told, as it will be at the waypoint that the drone is about to reach.
 
@@ -309,7 +322,7 @@ class Patrol:
         return Snapshot(
             time_au=self._frame.s_to_au(now_s - tally.start_s) + ahead_au,
             flown_au=flown_au + ahead_au,
-            position_au=self._waypoint_au,
+            position_au=self._waypoint_au.copy(),
             node=self._node,
             sightings=self._belief.sightings,
             belief=self._belief,

@@ -15,7 +15,7 @@ import torch
 from dronemon.belief import Belief, Matern32
 from dronemon.belief.compiled import is_ready as belief_is_compiled
 from dronemon.camera import FrameSource
-from dronemon.errors import PlannerError
+from dronemon.errors import CameraError, DronemonError, PlannerError, blaming
 from dronemon.events import Subscriber
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Briefing, Planner, Snapshot
@@ -60,15 +60,18 @@ async def rehearse(
 
     Compiled code is loaded at its first call, after the installation even compiled, and holds up
     everything else meanwhile, the stream of setpoints too. Needs no vehicle. Ends at once when a
-    person interrupts. Raises PlannerError.
+    person interrupts. Raises PlannerError, or CameraError for a detector that fails.
     """
     with contextlib.suppress(Interrupted):  # the flight, which comes next, tells and ends
         async with interrupts.leaving():
-            await in_daemon_thread(partial(_rehearse, mission, detector, planner))
+            await in_daemon_thread(
+                partial(_rehearse, mission, detector, planner), "the rehearsal", DronemonError
+            )
 
 
 def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
     torch.set_num_threads(1)
+    who = f"in a rehearsal, planner '{planner.name}'"
     num_targets = len(mission.targets)
     start_au, roadmap = draw_start_and_roadmap(mission)
     # Known, or a planner may have nothing to plan yet and load nothing.
@@ -83,7 +86,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
     belief.sightings.add(measurement)
     with _belief_compiled_beside():
         _look(mission, detector)
-        with _blaming(planner):
+        with blaming(who, PlannerError):
             planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
     grid_au = belief_grid_au().reshape(-1, 2)
     belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
@@ -97,7 +100,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         roadmap=roadmap,
         remaining_au=mission.horizon_au,
     )
-    with _blaming(planner):
+    with blaming(who, PlannerError):
         planner.next_waypoint(snapshot)
 
 
@@ -111,15 +114,8 @@ def _look(mission: Mission, detector: Detector) -> None:
         attitude_rad=(0.0, 0.0, 0.0),
     )
     noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px, 3))
-    detector.detect(noise.astype(np.uint8), level, 0.0)
-
-
-@contextlib.contextmanager
-def _blaming(planner: Planner) -> Iterator[None]:
-    try:
-        yield
-    except Exception as exc:
-        raise PlannerError(f"planner '{planner.name}' failed in a rehearsal: {exc!r}") from exc
+    with blaming("the detector", CameraError):
+        detector.detect(noise.astype(np.uint8), level, 0.0)
 
 
 @contextlib.contextmanager
@@ -166,8 +162,8 @@ def brief(
     """What the planner is told; its randomness is the mission's stream of this name."""
     return Briefing(
         num_targets=len(mission.targets),
-        priors_au=priors_au,
-        start_au=start_au,
+        priors_au=priors_au.copy(),
+        start_au=start_au.copy(),
         horizon_au=mission.horizon_au,
         rng=named_stream(mission.simulation.seed, stream),
     )

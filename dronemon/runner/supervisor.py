@@ -15,7 +15,7 @@ from dronemon.errors import (
     PlannerError,
     VehicleError,
 )
-from dronemon.events import EventStream
+from dronemon.events import EventStream, Level
 from dronemon.guard import (
     HOMEWARD,
     MISSION,
@@ -91,7 +91,7 @@ class Supervisor:
         self._down_by_s: float | None = None  # while it is on its way down
         self._num_unheard = 0
         self._was_armed = False
-        self._is_lost = False
+        self._told: object = None  # the problem told last, while nothing succeeds
         self._heard_at = math.inf
         self._refused_since = math.inf
         self._is_second_told = False
@@ -123,7 +123,8 @@ class Supervisor:
     async def _see_through(self) -> bool:
         """Do what the guard says until the mission may go on, or nothing is left to do."""
         while (advice := self.ask()).action not in {Action.GO_ON, Action.END}:
-            await self._attempt(self._do(advice.action))
+            if advice.action is not Action.LEAVE:
+                await self._attempt(self._do(advice.action))
         return advice.action is Action.GO_ON
 
     async def _attempt(self, step: Awaitable[object]) -> None:
@@ -141,7 +142,7 @@ class Supervisor:
             else:
                 self._meet(exc)
         else:
-            self._heard_at, self._is_lost = asyncio.get_running_loop().time(), False
+            self._heard_at, self._told = asyncio.get_running_loop().time(), None
 
     def _meet(self, exc: DronemonError) -> None:
         """Make a setback of an error; on the way home the first of a kind is told."""
@@ -152,14 +153,13 @@ class Supervisor:
                 self._setback = Setback.FAILSAFE if exc.by_failsafe else Setback.PILOT
             case LinkLost():
                 self._setback = Setback.LINK_LOST
-                if is_homeward and not self._is_lost:
-                    self._is_lost = True
-                    self._events.note("link lost", str(exc), level="ERROR")
+                if is_homeward:
+                    self._tell("link lost", exc)
             case CommandRejected() | CommandUnconfirmed():
                 self._setback = Setback.REFUSED
                 if is_homeward and math.isinf(self._refused_since):
                     self._refused_since = asyncio.get_running_loop().time()
-                    self._events.note("failure", str(exc), level="ERROR")
+                    self._tell("failure", exc)
             case _:
                 self._setback = Setback.FAILED
 
@@ -167,7 +167,7 @@ class Supervisor:
 
     def ask(self, *, is_horizon_flown: bool = False, is_planner_late: bool = False) -> Advice:
         """Ask the guard, tell what is new, and go over to the state that it gives."""
-        if self._interrupts.count == 1 and not self._is_second_told:
+        if self._interrupts.count and not self._is_second_told:
             self._is_second_told = self._events.must_go_on = True
             what = _SECOND.get(
                 self.state, "the drone comes home; Ctrl-C again lands it where it is"
@@ -230,7 +230,7 @@ class Supervisor:
     def _take_note(self, kind: str) -> None:
         """Somebody else chose the mode: from now on any is welcome."""
         self._events.must_go_on = True
-        self._events.note(kind, str(self._problem), level="WARN")
+        self._tell(kind, self._problem, "WARN")
         self._link.release()
         self._heard_at = asyncio.get_running_loop().time()
 
@@ -240,7 +240,14 @@ class Supervisor:
         self._heard_at = asyncio.get_running_loop().time()
         if error is not None:
             self.error = error
-            self._events.note("failure", str(error), level="ERROR")
+            self._tell("failure", error)
+
+    def _tell(self, kind: str, problem: DronemonError | None, level: Level = "ERROR") -> None:
+        """Tell a problem, once while it lasts."""
+        is_same = LinkLost if isinstance(problem, LinkLost) else str(problem)
+        if is_same != self._told:
+            self._told = is_same
+            self._events.note(kind, str(problem), level=level)
 
     def _error(self, reason: Reason) -> DronemonError | None:
         """The error that ends a mission for this reason; None if it is none."""
@@ -259,7 +266,7 @@ class Supervisor:
         if reason in _GIVEN_UP:
             self.error = self.error or self._problem
             if reason is Reason.BROKEN or self.state is State.PILOT:  # else told before
-                self._events.note("failure", str(self._problem), level="ERROR")
+                self._tell("failure", self._problem)
         elif reason is Reason.MOTORS_OFF and self._was_armed:
             self._events.note("disarmed", str(reason))
 
@@ -268,33 +275,35 @@ class Supervisor:
     async def _do(self, action: Action) -> None:
         link = self._link
         match action:
-            case Action.LISTEN:
-                await link.next_heartbeat()
-                self._num_unheard = max(self._num_unheard - 1, 0)
             case Action.RETURN | Action.LAND:
                 await (link.land() if action is Action.LAND else link.return_home())
                 self._events.note("homecoming", str(self.state))
                 self._down_by_s = link.time_s + LANDING_LIMIT_S
             case Action.DISARM:
                 await link.disarm()
+            case _:
+                async with self._interrupts.leaving(self._interrupts.count):
+                    await self._wait(action)
+
+    async def _wait(self, action: Action) -> None:
+        match action:
+            case Action.LISTEN:
+                await self._link.next_heartbeat()
+                self._num_unheard = max(self._num_unheard - 1, 0)
             case Action.WATCH:
                 await self._watch()
             case Action.OFFER:
                 await self._offer()
             case Action.WAIT:
-                await link.next_pose()
+                await self._link.next_pose()
 
     async def _watch(self) -> None:
-        """Wait until disarmed, until a person asks for something, or until a line is due."""
+        """Wait until disarmed, or until a line is due."""
         self._progress(str(self.state))
         assert self._down_by_s is not None  # the guard said WATCH
-        now_s, asked = self._link.time_s, self._interrupts.count
+        now_s = self._link.time_s
         await self._link.wait_until(
-            lambda: (
-                not self._link.state.is_armed
-                or self._interrupts.count != asked
-                or self._link.time_s >= now_s + REPORT_INTERVAL_S
-            ),
+            lambda: not self._link.state.is_armed or self._link.time_s >= now_s + REPORT_INTERVAL_S,
             "landing and disarming",
             self._down_by_s - now_s,
         )

@@ -132,7 +132,7 @@ def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
     planner = Recording(make())
     episode = fly_episode(planner, instance, replace(conditions(), horizon_au=2.0))
     for asked, given in zip(planner.asked, planner.given, strict=True):
-        assert waypoint_flaw(given.position_au, asked.position_au, ARENA) is None
+        assert waypoint_flaw(given, asked.position_au, ARENA) is None
     steps_au = np.linalg.norm(np.diff(episode.agent_au, axis=0), axis=1)
     assert steps_au.max() <= 0.1 + 1e-9
     assert len(np.unique(episode.agent_au.round(3), axis=0)) > 10
@@ -145,10 +145,13 @@ def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
         ((1.01, 0.5), "not in the arena"),
         ((0.5, 0.5 + 1e-7), "where the agent is"),
         ((0.5, 0.6), None),
+        ((0.5, 0.6, 0.7), "not two numbers"),
+        (("0.5", "0.6"), "not two numbers"),
+        (None, "not two numbers"),
     ],
 )
 def test_a_waypoint_is_judged(waypoint_au: tuple[float, float], flaw: str | None) -> None:
-    judged = waypoint_flaw(np.array(waypoint_au), np.array([0.5, 0.5]), ARENA)
+    judged = waypoint_flaw(Waypoint(position_au=np.array(waypoint_au)), np.array([0.5, 0.5]), ARENA)
     assert judged is None if flaw is None else flaw in str(judged)
 
 

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -122,6 +125,42 @@ def test_waypoints_that_cannot_be_flown_to_are_the_planners_error(
 ) -> None:
     with pytest.raises(PlannerError, match=f"planner route, seed 0, gave at 0.000 au.*{complaint}"):
         fly_episode(Route(point_au), walkers((0.5, 0.5)), Conditions(speed_ratio=0.1))
+
+
+class _Wrong(Route):
+    def __init__(self, answer: Callable[[Snapshot], object]) -> None:
+        super().__init__()
+        self.answer = answer
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        return self.answer(snapshot)  # type: ignore[return-value]  # wrong on purpose
+
+
+@pytest.mark.parametrize(
+    ("answer", "complaint"),
+    [
+        (lambda _: 1 // 0, "failed: ZeroDivisionError"),
+        (lambda _: sys.exit(3), r"failed: SystemExit\(3\)"),
+        (lambda _: None, "None, which is no Waypoint"),
+        (lambda _: Waypoint(position_au=np.zeros(3)), "not two numbers"),
+        (lambda _: Waypoint(position_au=np.ones(2), node="a"), "no number of a node"),  # type: ignore[arg-type]  # wrong on purpose
+    ],
+)
+def test_whatever_a_planner_does_wrong_is_its_error(
+    answer: Callable[[Snapshot], object], complaint: str
+) -> None:
+    with pytest.raises(PlannerError, match=f"planner route, seed 0, .*{complaint}"):
+        fly_episode(_Wrong(answer), walkers((0.5, 0.5)), Conditions(speed_ratio=0.1))
+
+
+def test_a_planner_that_writes_into_what_it_is_told_moves_nothing() -> None:
+    def write(snapshot: Snapshot) -> Waypoint:
+        snapshot.position_au[:] = 0.9
+        return Waypoint(position_au=np.array([0.5, 0.1]))
+
+    conditions = Conditions(speed_ratio=0.1, horizon_au=0.3)
+    episode = fly_episode(_Wrong(write), walkers((0.5, 0.5)), conditions)
+    np.testing.assert_allclose(episode.agent_au[:, 0], [0.1, 0.2, 0.3, 0.4])
 
 
 def test_clairvoyant_planner_meets_targets_it_was_never_told_of() -> None:

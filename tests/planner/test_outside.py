@@ -29,11 +29,16 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (tmp_path / "wrong_planners.py").write_text(
         "class Silent:\n    name = 'silent'\n    def reset(self, briefing, roadmap): ...\n"
         "class Demanding:\n    def __init__(self, much): ...\n"
+        "class Leaving:\n    def __init__(self): raise SystemExit(3)\n"
+        "class Shy(Silent):\n    next_waypoint = print\n    name = property(lambda self: 1 // 0)\n"
+        "class Nameless(Silent):\n    next_waypoint = print\n    name = None\n"
+        "class Unresettable(Silent):\n    next_waypoint = print\n    reset = None\n"
         "number = 3\n"
     )
     (tmp_path / "broken_planner.py").write_text("import nothing_of_this_name\n")
+    (tmp_path / "leaving_planner.py").write_text("import sys\nsys.exit(3)\n")
     yield tmp_path
-    for name in ("my_planner", "wrong_planners", "broken_planner"):
+    for name in ("my_planner", "wrong_planners", "broken_planner", "leaving_planner"):
         sys.modules.pop(name, None)
 
 
@@ -64,6 +69,11 @@ def test_the_page_shows_one_of_each_command() -> None:
         ("my_planner:", "not of the form package.module:Class"),
         ("no_such_module:Curious", "run where it lies, or install it"),
         ("broken_planner:Any", "nothing_of_this_name"),
+        ("leaving_planner:Any", "SystemExit(3)"),
+        ("wrong_planners:Leaving", "SystemExit(3)"),
+        ("wrong_planners:Shy", "ZeroDivisionError"),
+        ("wrong_planners:Nameless", "has no name"),
+        ("wrong_planners:Unresettable", "has no reset"),
         ("wrong_planners:number", "its classes are: Silent, Demanding"),
         ("wrong_planners:Demanding", "without arguments"),
         ("wrong_planners:Silent", "has no next_waypoint"),

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import sys
 import threading
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,6 +32,7 @@ from dronemon.events import Decided, Event, Measured, Noted, Pictured, Progresse
 from dronemon.guard import TABLE, Advice, Reason, Situation
 from dronemon.mission import load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
+from dronemon.recorder import _json_line
 from dronemon.roadmap import Roadmap
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, supervisor
 from dronemon.vehicle import Mode
@@ -49,12 +54,15 @@ class Shuttle:
     def __init__(self) -> None:
         self.asked = 0
         self.answer: Callable[[], Waypoint] | None = None
+        self.on_reset: Callable[[], object] = lambda: None
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         self.asked = 0
+        self.on_reset()
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         self.asked += 1
+        snapshot.position_au[:] = np.nan  # its own copy
         if self.asked == 3 and self.answer is not None:
             return self.answer()
         return Waypoint(position_au=np.array([0.5, 0.6 if self.asked % 2 else 0.4]))
@@ -83,6 +91,9 @@ class Listener:
     def kinds(self) -> list[str]:
         return [event.kind for event in self.events if isinstance(event, Noted)]
 
+    def texts(self, words: str) -> int:
+        return sum(isinstance(event, Noted) and words in event.text for event in self.events)
+
     def text(self, kind: str) -> str:
         return next(e.text for e in self.events if isinstance(e, Noted) and e.kind == kind)
 
@@ -95,6 +106,7 @@ class Flight:
         self.record, self.view = Listener(), Listener()
         self.interrupts = Interrupts()
         self.planner = Shuttle()
+        self.detector: Any = Blind()
         self.picture_px = (640, 480)
         self.on_link: Callable[[FakeLink], None] = lambda link: None
 
@@ -110,7 +122,7 @@ class Flight:
                     file=load_mission(self.path),
                     link=self.link,
                     camera=FakeCamera(self.link, *self.picture_px),
-                    detector=Blind(),
+                    detector=self.detector,
                     planner=self.planner,
                     priors_au=np.array([[0.4, 0.6]]),
                     record=self.record,
@@ -269,8 +281,26 @@ def _hangs() -> Waypoint:
     raise AssertionError
 
 
-def _gives_no_place() -> Waypoint:
-    return Waypoint(position_au=np.array([np.nan, 0.5]))
+def _gives(
+    *place_au: float, node: Any = None, details: Any = MappingProxyType({})
+) -> Callable[[], Waypoint]:
+    return lambda: Waypoint(position_au=np.array(place_au), node=node, details=details)
+
+
+def _leaves() -> Waypoint:
+    sys.exit(3)
+
+
+def _is_interrupted() -> Waypoint:
+    raise KeyboardInterrupt
+
+
+def _runs_out() -> Waypoint:
+    return next(iter(()))
+
+
+_ENDLESS: dict[str, object] = {}
+_ENDLESS["again"] = _ENDLESS
 
 
 @pytest.mark.parametrize(
@@ -278,7 +308,15 @@ def _gives_no_place() -> Waypoint:
     [
         (_fails, "IndexError", Reason.FAILED),
         (_hangs, "no waypoint from planner 'shuttle' for 4 s", Reason.PLANNER_LATE),
-        (_gives_no_place, "no place", Reason.FAILED),
+        (_leaves, "SystemExit", Reason.FAILED),
+        (_is_interrupted, "KeyboardInterrupt", Reason.FAILED),
+        (_runs_out, "StopIteration", Reason.FAILED),
+        (_gives(np.nan, 0.5), "no place", Reason.FAILED),
+        (_gives(0.5, 0.5, 0.5), "not two numbers", Reason.FAILED),
+        (_gives(0.5, 0.5, node="a"), "no number of a node", Reason.FAILED),
+        (_gives(0.5, 0.5, details=_ENDLESS), "RecursionError", Reason.FAILED),
+        (_gives(0.5, 0.5, details=3), "AttributeError", Reason.FAILED),
+        (lambda: None, "None, which is no Waypoint", Reason.FAILED),
     ],
 )
 def test_a_bad_planner_brings_the_drone_home(flight, answer, words, reason):
@@ -288,6 +326,45 @@ def test_a_bad_planner_brings_the_drone_home(flight, answer, words, reason):
     assert words in str(result.error)
     assert result.outcome == "failed"
     assert reason in flight.reasons
+    _comes_home(flight, result)
+
+
+def test_what_json_cannot_say_of_a_decision_is_recorded_as_text(flight):
+    flight.planner.answer = _gives(0.5, 0.6, details={"lock": threading.Lock(), "half": "\udc80"})
+    assert flight.fly().outcome == "completed"
+    told = next(e for e in flight.record.events if isinstance(e, Decided) and e.details)
+    assert "lock" in asdict(told)["details"]["lock"]
+    assert json.loads(_json_line(told.details))["half"] == "\udc80"
+
+
+@pytest.mark.parametrize(
+    ("act", "words"), [(_hangs, "no answer for 30 s"), (_leaves, "SystemExit")]
+)
+def test_a_planner_that_does_not_begin_flies_nothing(flight, act, words):
+    flight.planner.on_reset = act
+    result = flight.fly()
+    assert isinstance(result.error, PlannerError)
+    assert "planner 'shuttle'" in str(result.error)
+    assert words in str(result.error)
+    assert flight.link.commands == []
+
+
+@pytest.mark.parametrize(
+    ("detect", "words"),
+    [
+        (lambda *_: 1 // 0, "ZeroDivisionError"),
+        (lambda *_: None, "'NoneType' object is not iterable"),
+        (lambda *_: [3], "'int' object has no attribute"),
+        (lambda *_: _leaves(), "SystemExit"),
+        (lambda *_: _hangs(), "no answer for 3 s"),
+    ],
+)
+def test_a_bad_detector_brings_the_drone_home(flight, detect, words):
+    flight.detector.detect = detect
+    result = flight.fly()
+    assert isinstance(result.error, CameraError)
+    assert "the detector" in str(result.error)
+    assert words in str(result.error)
     _comes_home(flight, result)
 
 
@@ -357,6 +434,7 @@ def test_a_failsafe_is_left_to_land(flight):
     assert result.error.by_failsafe
     assert result.is_landed
     assert "homecoming" not in flight.record.kinds
+    assert flight.record.texts("a failsafe") == 1
     assert {Reason.FAILSAFE_FLIES, Reason.COMING_DOWN, Reason.MOTORS_OFF} <= flight.reasons
 
 
@@ -365,8 +443,31 @@ def test_a_lost_link_is_waited_for(flight):
     result = flight.fly("silence@12+60")
     assert isinstance(result.error, LinkLost)
     assert result.is_landed
-    assert flight.record.kinds.count("link lost") == 1
+    assert flight.record.texts("nothing heard") == 1
     assert Reason.LOST in flight.reasons
+
+
+def test_a_link_lost_once_more_is_told_once_more(flight):
+    flight.when("patrol", flight.ask)
+    flight.fly("silence@10+3", "silence@14.5+3")
+    assert flight.record.texts("nothing heard") == 2
+
+
+def test_an_interrupt_is_answered_while_the_link_is_silent(flight):
+    """At once, not after the link counts as lost; two fast ones as well."""
+    told: list[float] = []
+
+    def lose() -> None:
+        flight.link.is_silent = True
+        flight.later(16.0, lambda: flight.ask(2))  # the return is asked for until then
+        flight.later(16.1, lambda: told.append(flight.record.kinds.count("interrupt")))
+        flight.later(40.0, lambda: setattr(flight.link, "is_silent", False))
+
+    flight.when("patrol", lose)
+    result = flight.fly(link_loss_timeout_s=7.0)
+    assert told == [1]
+    assert "land" in flight.link.commands
+    assert result.is_landed
 
 
 def test_a_link_that_stays_lost_ends_the_flight(flight):

@@ -53,7 +53,7 @@ def test_the_planner_decides_once_on_the_missions_own_terms(mission: Mission) ->
 
 
 def test_a_planner_that_fails_is_named(mission: Mission) -> None:
-    with pytest.raises(PlannerError, match=r"'watched' failed in a rehearsal: ZeroDivisionError"):
+    with pytest.raises(PlannerError, match="planner 'watched' failed: ZeroDivisionError"):
         asyncio.run(
             rehearse(mission, make_detector(mission), Watched(lambda: 1 // 0), Interrupts())
         )
