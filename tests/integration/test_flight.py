@@ -76,7 +76,7 @@ def _verify(flight: Flight) -> None:
 
 
 def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
-    options = ("--horizon-au", "2", "--speed-up", "20")
+    options = ("--horizon-au", "2", "--speed-up", "8")
     flight = fly("--mission", "missions/animals.yaml", *options)
     code, output = flight.finish()
     assert code == 0, output
