@@ -102,16 +102,9 @@ def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) ->
         planner.foresee(targets_at)
         told = "full"
     agent = _Agent(instance.start_au, targets_at, conditions, told)
-    briefing = Briefing(
-        num_targets=agent.knowledge.sightings.num_targets,
-        priors_au=agent.knowledge.sightings.priors_au.copy(),
-        start_au=instance.start_au.copy(),
-        horizon_au=conditions.horizon_au,
-        rng=instance.stream("planner"),
-    )
     who = f"planner {planner.name}, seed {instance.seed},"
     with blaming(who, PlannerError):
-        planner.reset(briefing, roadmap)
+        planner.reset(agent.brief(instance.stream("planner")), roadmap)
     decisions_s = []
     while not agent.is_done:
         snapshot = agent.snapshot(roadmap)
@@ -141,6 +134,16 @@ class _Agent:
         self._node: int | None = 0  # the roadmap's first node is the start
         self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
         self.knowledge = _Knowledge(self._targets_au[0], told)
+
+    def brief(self, rng: np.random.Generator) -> Briefing:
+        """Tell what is known at the start."""
+        return Briefing(
+            num_targets=self.knowledge.sightings.num_targets,
+            priors_au=self.knowledge.sightings.priors_au.copy(),
+            start_au=self._agent_au[0].copy(),
+            horizon_au=self._conditions.horizon_au,
+            rng=rng,
+        )
 
     @property
     def is_done(self) -> bool:
