@@ -5,6 +5,7 @@
       OptionError             an option cannot be used as given                exit 2
       VehicleError            the vehicle or the link to it                    exit 3
         LinkTimeout           nothing heard in time
+        WrongVehicle          heard, but none that can be flown, or more than one
         LinkLost              heard before, silent now
         CommandRejected       the autopilot said no
         CommandUnconfirmed    the autopilot said yes, telemetry does not show it
@@ -54,6 +55,10 @@ class VehicleError(DronemonError):
 
 class LinkTimeout(VehicleError):
     """Nothing was heard within the limit."""
+
+
+class WrongVehicle(VehicleError):
+    """What is heard is no vehicle that can be flown, or more than one."""
 
 
 class LinkLost(VehicleError):

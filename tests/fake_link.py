@@ -70,7 +70,7 @@ class FakeVehicle:
         if not self.is_armed:
             return None
         if not self.has_gps and self.intent is not Mode.LAND:
-            return Mode.OTHER
+            return Mode.ALTITUDE
         if self.failsafe is not None:
             return self.failsafe
         is_late = self.time_s > self.setpoint_s + _SETPOINT_LIMIT_S
@@ -146,7 +146,7 @@ class FakeLink:
         self._armed_at_s: float | None = None
         self._loss_s, self._timeout_s = link_loss_timeout_s, command_timeout_s
         self._heartbeat_s, self._heartbeat_due_s = heartbeat_s, 0.0
-        self._num_heartbeats = 0
+        self._num_heartbeats, self._beat_at = 0, 0.0
         self._state = VehicleState()
         self._poses: list[Pose] = []
         self._given_s = -math.inf
@@ -208,6 +208,7 @@ class FakeLink:
         if vehicle.time_s >= self._heartbeat_due_s:
             self._heartbeat_due_s = vehicle.time_s + self._heartbeat_s
             self._num_heartbeats += 1
+            self._beat_at = asyncio.get_running_loop().time()
             self._state = replace(
                 self._state,
                 mode=vehicle.mode,
@@ -222,6 +223,7 @@ class FakeLink:
             battery=vehicle.battery,
             home=ORIGIN,
             origin=ORIGIN,
+            place=ORIGIN,
         )
         self._poses.append(
             Pose(
@@ -254,6 +256,16 @@ class FakeLink:
         said, self._said = self._said, []
         return said
 
+    async def next_texts(self) -> list[StatusText]:
+        while not (said := self.texts()):
+            self._changed.clear()
+            await self._changed.wait()
+        return said
+
+    @property
+    def heartbeat_age_s(self) -> float:
+        return asyncio.get_running_loop().time() - self._beat_at
+
     # Waiting
 
     async def _next_message(self, *, checks_mode: bool = True) -> None:
@@ -273,7 +285,8 @@ class FakeLink:
             self._check_mode()
 
     def _check_mode(self) -> None:
-        if self._expected is not None and self._state.mode not in self._expected:
+        is_ours = self._expected is None or self._state.mode in self._expected
+        if self._state.is_armed and not is_ours:
             is_failsafe = self._state.is_failsafe
             who = "a failsafe of the autopilot" if is_failsafe else "the pilot"
             raise ControlTaken(f"{who} chose mode '{self._state.mode}'", by_failsafe=is_failsafe)
@@ -323,14 +336,14 @@ class FakeLink:
             return
         raise CommandRejected(f"{name}: asked {_ATTEMPTS} times without effect")
 
-    async def _change_mode(self, name: str, mode: Mode, *also: Mode) -> None:
+    async def _change_mode(self, name: str, mode: Mode) -> None:
         self._check_mode()
         if self._expected is not None:
             self._expected |= {mode}
         await self._confirm(
             name, lambda: self.vehicle.choose(mode), lambda: self._state.mode is mode
         )
-        self._expected = frozenset({mode, *also})
+        self._expected = frozenset({mode})
 
     async def arm(self) -> None:
         await self._confirm("arm", self._set_armed, lambda: self._state.is_armed)
@@ -382,7 +395,7 @@ class FakeLink:
         await self._change_mode("hold", Mode.HOLD)
 
     async def return_home(self) -> None:
-        await self._change_mode("return", Mode.RETURN, Mode.LAND)
+        await self._change_mode("return", Mode.RETURN)
 
     async def land(self) -> None:
         await self._change_mode("land", Mode.LAND)

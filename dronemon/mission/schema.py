@@ -114,6 +114,12 @@ class Vehicle(Section):
         description="`mock`, or where MAVLink comes from: udpin://IP:PORT, tcpout://IP:PORT, "
         "serial://DEVICE:BAUD.",
     )
+    system_id: int | None = Field(
+        None,
+        ge=1,
+        le=255,
+        description="MAVLink system id of the vehicle; needed where several are heard.",
+    )
     speed_up: float = Field(
         15.0, ge=1.0, le=20.0, description="How much faster than real time the mock flies."
     )
@@ -124,7 +130,7 @@ class Vehicle(Section):
         60.0,
         gt=0.0,
         le=600.0,
-        description="Vehicle-time wait for sensors, position and arming checks.",
+        description="Wall-clock wait for sensors, position and arming checks.",
     )
     command_timeout_s: float = Field(
         10.0, ge=3.0, le=120.0, description="Wait until telemetry confirms a command."

@@ -12,14 +12,28 @@ from dronemon.types import Pose, Vector3
 
 
 class Mode(StrEnum):
-    """Flight modes that a mission tells apart."""
+    """PX4's flight modes, by the names that its users know."""
 
-    TAKEOFF = "take-off"
-    HOLD = "hold"
+    MANUAL = "manual"
+    ALTITUDE = "altitude"
+    ALTITUDE_CRUISE = "altitude cruise"
+    POSITION = "position"
+    POSITION_SLOW = "position slow"
+    ORBIT = "orbit"
+    ACRO = "acro"
+    STABILIZED = "stabilized"
+    RATTITUDE = "rattitude"
     OFFBOARD = "offboard"
+    TERMINATION = "termination"
+    READY = "ready"
+    TAKEOFF = "take-off"
+    VTOL_TAKEOFF = "VTOL take-off"
+    HOLD = "hold"
+    MISSION = "mission"
     RETURN = "return"
     LAND = "land"
-    POSITION = "position"
+    FOLLOW = "follow"
+    PRECISION_LAND = "precision land"
     OTHER = "other"
 
 
@@ -35,13 +49,17 @@ class Landed(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
-    """Everything slow that telemetry says; the pose comes apart, it is fast."""
+    """Everything slow that telemetry says; the pose comes apart, it is fast.
+
+    What has not been heard for 10 s of vehicle time counts as unknown, or as bad.
+    """
 
     mode: Mode = Mode.OTHER
     is_armed: bool = False
     is_failsafe: bool = False
     is_armable: bool = False
-    is_position_good: bool = True
+    """Whether the arming checks pass."""
+    is_position_good: bool = False
     """Whether the estimator has an absolute horizontal position; without GPS it drifts."""
     landed: Landed = Landed.UNKNOWN
     battery: float | None = None
@@ -49,6 +67,12 @@ class VehicleState:
     home: GeoPoint | None = None
     origin: GeoPoint | None = None
     """Origin of the local NED frame."""
+    place: GeoPoint | None = None
+    """Where the vehicle is on the globe."""
+    num_resets: int = 0
+    """How often the position jumped as no velocity explains: the estimator was reset."""
+    num_unreadable: int = 0
+    """Messages left out, since they hold what cannot be, such as a number that is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +149,14 @@ class VehicleLink(Protocol):
         """Begin to land here, by the autopilot alone."""
 
     def texts(self) -> list[StatusText]:
-        """What the autopilot said in words since the last call."""
+        """What the autopilot said in words since the last call, or of `next_texts`."""
+
+    async def next_texts(self) -> list[StatusText]:
+        """Wait, without a limit, until the autopilot says something."""
+
+    @property
+    def heartbeat_age_s(self) -> float:
+        """Wall time since the last heartbeat: the age of mode and armed state."""
 
     async def next_heartbeat(self) -> None:
         """Wait for the next heartbeat: what it says of mode and arming is fresh."""

@@ -1,37 +1,22 @@
-"""MAVSDK 4.1 behind `VehicleLink`: a PX4 vehicle over MAVLink.
-
-Telemetry is read message by message (`mavlink_direct`), since only those carry the vehicle's time.
-Setpoints go out message by message too. MAVSDK's offboard plugin would repeat the last one at 20 Hz
-by itself, also while this program hangs, and so defeat the autopilot's own failsafe.
-"""
+"""A PX4 vehicle over MAVLink behind `VehicleLink`: every command is confirmed from telemetry."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
-import logging
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
-import mavsdk
-from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, MavsdkConnectionError, MavsdkError
-from mavsdk.asyncio.plugins.action import ActionAsync
-from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkMessage
 from pymavlink.dialects.v20 import common as mavlink
 
-from dronemon.errors import (
-    CommandRejected,
-    CommandUnconfirmed,
-    LinkLost,
-    LinkTimeout,
-    VehicleError,
-)
+from dronemon.errors import CommandRejected, CommandUnconfirmed, ControlTaken, VehicleError
 from dronemon.types import Pose
+from dronemon.vehicle.hearing import Hearing
 from dronemon.vehicle.link import Landed, Mode, Setpoint, StatusText, VehicleState
-from dronemon.vehicle.mode_watch import ModeWatch
-from dronemon.vehicle.telemetry import PX4_OFFBOARD_MAIN_MODE, Telemetry
+from dronemon.vehicle.px4 import RUN_CHECKS, Command
+from dronemon.vehicle.readiness import problems
+from dronemon.vehicle.wire import Wire
 
 _POSITION_VELOCITY_YAW = (  # of a setpoint: the rest is ignored
     mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
@@ -42,17 +27,27 @@ _POSITION_VELOCITY_YAW = (  # of a setpoint: the rest is ignored
 _WANTED_HZ = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
 }
 _ASKED_FOR = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 _ATTEMPTS = 3
-_OTHER_PARAMS = tuple(f"param{i}" for i in range(3, 8))
+_ASK_EVERY_S = 1.0
+_ROUND_TRIPS = 3
 _STREAM_BEFORE_OFFBOARD_S = 0.5
-_Send = Callable[[], Awaitable[object]]
+_SETPOINT_GAP_S = 1.0
+"""PX4's COM_OF_LOSS_T: after so long without a setpoint its failsafe flies."""
+_TEXTS_COME_S = 1.2
+_CLIMB_M, _CLIMB_WITHIN_S = 1.0, 20.0
+_WORDS = 4
 
 
 class MavsdkLink:
     """A PX4 vehicle at a MAVLink URL. Implements VehicleLink.
 
+    system_id:                              of the vehicle, where several are heard
     connect_timeout_s, link_loss_timeout_s: wall time
     command_timeout_s:                      vehicle time
     """
@@ -61,295 +56,256 @@ class MavsdkLink:
         self,
         url: str,
         *,
+        system_id: int | None = None,
         connect_timeout_s: float = 10.0,
         command_timeout_s: float = 10.0,
         link_loss_timeout_s: float = 5.0,
     ) -> None:
-        self._url = url
-        self._connect_timeout_s = connect_timeout_s
         self._attempt_timeout_s = command_timeout_s / _ATTEMPTS
-        self._link_loss_timeout_s = link_loss_timeout_s
-        self._telemetry = Telemetry()
-        self._modes = ModeWatch()
-        self._last_given_s = -math.inf
-        self._posed_at = math.inf  # the event loop's time of the newest pose
-        self._changed: asyncio.Event = asyncio.Event()
-        self._readers: list[asyncio.Task[None]] = []
-        self._exit = contextlib.AsyncExitStack()
+        self._heard = Hearing(url, link_loss_timeout_s)
+        self._telemetry, self._modes = self._heard.telemetry, self._heard.modes
+        self._wire = Wire(
+            url,
+            take=self._heard.take,
+            names=self._telemetry.messages,
+            system_id=system_id,
+            connect_timeout_s=connect_timeout_s,
+        )
+        self._sent = (-math.inf, -math.inf)  # wall and vehicle time of the newest setpoint
 
     async def __aenter__(self) -> MavsdkLink:
-        try:
-            await self._connect()
-        except BaseException:
-            await self._exit.aclose()
-            raise
+        await self._wire.__aenter__()
         return self
 
     async def __aexit__(self, *exc: Any) -> None:
-        for reader in self._readers:
-            reader.cancel()
-        # A reader that fails cancels the body: only then has its group something to say.
-        if isinstance(exc[1], asyncio.CancelledError):
-            await self._exit.__aexit__(*exc)
-        else:
-            await self._exit.aclose()
+        await self._wire.__aexit__(*exc)
 
-    async def _connect(self) -> None:
-        mavsdk.log_subscribe(_to_logging)
-        configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
-        connections = await self._exit.enter_async_context(Mavsdk(configuration))
-        try:
-            await connections.add_any_connection(self._url)
-        except MavsdkConnectionError as exc:
-            raise LinkTimeout(
-                f"cannot open {self._url}: {exc}; is the port free and the URL right?"
-            ) from exc
-        system = await connections.first_autopilot(timeout_s=self._connect_timeout_s)
-        if system is None:
-            raise LinkTimeout(
-                f"no autopilot heard on {self._url} after {self._connect_timeout_s:g} s; "
-                "is the vehicle on and streaming there?"
-            )
-        self._system_id = await system.get_system_id()
-        self._direct = MavlinkDirectAsync(system)
-        self._exit.callback(self._direct.destroy)
-        self._action = ActionAsync(system)
-        self._exit.callback(self._action.destroy)
-        group = await self._exit.enter_async_context(asyncio.TaskGroup())
-        self._readers = [
-            group.create_task(self._read(name), name=f"mavlink {name}")
-            for name in self._telemetry.messages
-        ]
-
-    # What telemetry says
-
-    async def _read(self, name: str) -> None:
-        telemetry, loop = self._telemetry, asyncio.get_running_loop()
-        async for message in self._direct.subscribe_message(name):
-            if message.system_id != self._system_id:
-                continue
-            pose = telemetry.pose
-            try:
-                telemetry.take(name, json.loads(message.fields_json))
-            except (LookupError, TypeError, ValueError) as exc:
-                logging.getLogger(__name__).warning("%s cannot be read: %r", name, exc)
-            if telemetry.pose is not pose:
-                self._posed_at = loop.time()
-            self._changed.set()
-
-    def texts(self) -> list[StatusText]:
-        """What the autopilot said in words since the last call."""
-        return self._telemetry.texts()
+    # Hearing
 
     @property
     def state(self) -> VehicleState:
         """The newest state."""
-        return self._telemetry.state
+        return self._heard.state
 
     @property
     def pose(self) -> Pose:
         """The newest pose. Raises LinkTimeout before the first."""
-        pose = self._telemetry.pose
-        if pose is None:
-            raise LinkTimeout(
-                f"the vehicle on {self._url} sends no ATTITUDE and LOCAL_POSITION_NED; "
-                "does it know its position, and does this link stream it?"
-            )
-        return pose
+        return self._heard.pose
 
     @property
     def time_s(self) -> float:
         """Vehicle time since boot of the newest pose."""
         return self.pose.time_s
 
-    # Waiting
+    @property
+    def heartbeat_age_s(self) -> float:
+        """Wall time since the last heartbeat."""
+        return self._heard.heartbeat_age_s
+
+    def texts(self) -> list[StatusText]:
+        """What the autopilot said in words since the last call."""
+        return self._telemetry.said()
+
+    async def next_texts(self) -> list[StatusText]:
+        """Wait, without a limit, until the autopilot says something."""
+        return await self._heard.next_texts()
 
     async def next_heartbeat(self) -> None:
         """Wait for the next heartbeat."""
-        heard = self._telemetry.num_heartbeats
-        while self._telemetry.num_heartbeats == heard:
-            await self._next_message(checks_mode=False)
-
-    async def _next_message(self, *, checks_mode: bool = True) -> None:
-        """Wait for any telemetry and check what every wait must check."""
-        self._changed.clear()
-        try:
-            async with asyncio.timeout(self._link_loss_timeout_s):
-                await self._changed.wait()
-        except TimeoutError as exc:
-            raise LinkLost(
-                f"nothing heard from the vehicle on {self._url} for "
-                f"{self._link_loss_timeout_s:g} s; its own failsafe is in charge until it is back"
-            ) from exc
-        if self._telemetry.has_rebooted:
-            self._telemetry.has_rebooted = False
-            raise VehicleError("the autopilot rebooted: its clock went back; the flight is over")
-        if checks_mode:
-            self._modes.check(self.state)
-        silent_s = asyncio.get_running_loop().time() - self._posed_at
-        if silent_s > self._link_loss_timeout_s:
-            raise LinkLost(
-                f"the vehicle on {self._url} sent no position or attitude for {silent_s:.1f} s; "
-                "its own failsafe is in charge until they are back"
-            )
+        await self._heard.next_heartbeat()
 
     async def next_pose(self) -> Pose:
         """Wait for a pose newer than the last one given."""
-        while (pose := self._telemetry.pose) is None or pose.time_s == self._last_given_s:
-            await self._next_message()
-        self._last_given_s = pose.time_s
-        return pose
+        return await self._heard.next_pose()
 
     async def poses_around(self, time_s: float) -> tuple[Pose, Pose]:
         """Wait for the poses just before and just after an instant."""
-        while (pose := self._telemetry.pose) is None or pose.time_s < time_s:
-            await self._next_message()
-        return self._telemetry.poses_around(time_s)
+        return await self._heard.poses_around(time_s)
 
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true."""
-        deadline_s = math.inf
-        while not condition():
-            await self._next_message()
-            if (pose := self._telemetry.pose) is not None:
-                deadline_s = min(deadline_s, pose.time_s + timeout_s)
-                if pose.time_s > deadline_s:
-                    raise CommandUnconfirmed(
-                        f"{what}: not seen in telemetry after {timeout_s:g} s of vehicle time; "
-                        f"it says {self._telemetry.describe()}"
-                    )
+        await self._heard.wait_until(condition, what, timeout_s)
+
+    # Getting ready
 
     async def wait_ready(self, timeout_s: float) -> None:
-        """Wait until position, home, origin and arming checks are there."""
-        for message_id, rate_hz in _WANTED_HZ.items():
-            interval_us = 1e6 / rate_hz
-            await self._send_command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, interval_us)
+        """Wait until position, home, origin and arming checks are there, and well heard."""
         loop = asyncio.get_running_loop()
-        wall_deadline = loop.time() + timeout_s
-        asked = -math.inf
-        while missing := self._telemetry.missing():
-            if loop.time() > wall_deadline:
+        deadline, asked_at = loop.time() + timeout_s, -math.inf
+        num_texts = self._telemetry.texts.num_heard
+        round_trips_s: list[float] = []
+        while missing := problems(self._telemetry, round_trips_s):
+            if loop.time() > deadline:
                 raise CommandUnconfirmed(
-                    f"the vehicle is not ready after {timeout_s:g} s: {', '.join(missing)}; "
-                    "see what it says on a ground station"
+                    f"the vehicle is not ready after {timeout_s:g} s: {'; '.join(missing)}"
+                    + self._said_since(num_texts)
                 )
-            if loop.time() > asked + 1.0:
-                asked = loop.time()
-                for message_id in _ASKED_FOR:
-                    await self._send_command(mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
-            await self._next_message()
+            if loop.time() > asked_at + _ASK_EVERY_S:
+                await self._ask_for_readiness()
+                round_trips_s = [await self._wire.round_trip() for _ in range(_ROUND_TRIPS)]
+                asked_at = loop.time()
+            await self._heard.next_message()
+
+    async def _ask_for_readiness(self) -> None:
+        """Ask for what is needed to judge, and for what hinders arming."""
+        for message_id, rate_hz in _WANTED_HZ.items():
+            await self._wire.command(Command.stream(message_id, rate_hz))
+        for message_id in _ASKED_FOR:
+            await self._wire.command(Command.send(message_id))
+        state = self.state
+        if state.is_armed or state.is_armable or not self._telemetry.num_heartbeats:
+            return
+        if state.mode is not Mode.HOLD:
+            # Disarmed, PX4 may be in a mode whose check fails for good and in silence: OFFBOARD.
+            await self._wire.command(Command.choose(Mode.HOLD))
+        await self._wire.command(RUN_CHECKS)
 
     # Commands
 
-    def _message(self, name: str, **fields: float) -> MavlinkMessage:
-        """A message to the autopilot."""
-        target = {
-            "target_system": self._system_id,
-            "target_component": mavlink.MAV_COMP_ID_AUTOPILOT1,
-        }
-        return MavlinkMessage(message_name=name, fields_json=json.dumps(target | fields))
-
-    async def _send_command(self, command: int, param1: float, param2: float = 0.0) -> None:
-        """Send a COMMAND_LONG and wait for its acknowledgement, which only says that it came."""
-        params = {"param1": param1, "param2": param2} | dict.fromkeys(_OTHER_PARAMS, 0.0)
-        message = self._message("COMMAND_LONG", command=command, confirmation=0, **params)
-        try:
-            await self._direct.send_command(message)
-        except MavsdkError as exc:
-            raise CommandUnconfirmed(f"no answer to command {command}: {exc}") from exc
-
-    async def _confirm(self, name: str, send: _Send, condition: Callable[[], bool]) -> None:
-        """Send a command until telemetry shows its effect, three times at most."""
-        problem = ""
+    async def _confirm(self, what: str, command: Command, condition: Callable[[], bool]) -> None:
+        """Send a command until telemetry since then shows its effect, three times at most."""
+        num_texts, num_heartbeats = self._telemetry.texts.num_heard, self._telemetry.num_heartbeats
         for _ in range(_ATTEMPTS):
+            with contextlib.suppress(CommandUnconfirmed):
+                await self._wire.command(command)
             try:
-                await send()
-            except (MavsdkError, CommandUnconfirmed) as exc:
-                problem = f": {exc}"
-            try:
-                return await self.wait_until(condition, name, self._attempt_timeout_s)
+                return await self.wait_until(
+                    lambda: self._telemetry.num_heartbeats > num_heartbeats and condition(),
+                    what,
+                    self._attempt_timeout_s,
+                )
             except CommandUnconfirmed:
                 continue
-        error = CommandRejected if problem else CommandUnconfirmed
-        raise error(
-            f"{name}: asked {_ATTEMPTS} times without effect{problem}; "
-            f"telemetry says {self._telemetry.describe()}"
+        raise self._failure(what, command, num_texts)
+
+    def _failure(self, what: str, command: Command, num_texts: int) -> VehicleError:
+        """The error of a command without effect, with what the autopilot said since."""
+        answer = self._wire.answer(command)
+        error = CommandUnconfirmed if answer in {"accepted", "no answer"} else CommandRejected
+        return error(
+            f"{what}: asked {_ATTEMPTS} times without effect ({answer}); telemetry says "
+            f"{self._telemetry.describe()}{self._said_since(num_texts)}"
         )
 
-    async def _change_mode(self, mode: Mode, send: _Send) -> None:
+    def _said_since(self, num_texts: int) -> str:
+        """What the autopilot has said since, as the end of a sentence."""
+        said = self._telemetry.texts.since(num_texts, self._telemetry.time_s)[-_WORDS:]
+        return "".join(["; the autopilot says: " if said else "", " / ".join(said)])
+
+    async def _change_mode(self, mode: Mode) -> None:
         """Ask for a mode and wait for the heartbeat that shows it; a pilot's choice wins."""
         self._modes.check(self.state)
         self._modes.expect_also(mode)
-        await self._confirm(f"mode '{mode}'", send, lambda: self.state.mode is mode)
+        await self._confirm(f"mode '{mode}'", Command.choose(mode), lambda: self.state.mode is mode)
         self._modes.expect(mode)
 
     async def arm(self) -> None:
         """Start the motors."""
-        await self._confirm("arming", self._action.arm, lambda: self.state.is_armed)
+        await self._confirm("arming", Command.arm(True), lambda: self.state.is_armed)
 
     async def disarm(self) -> None:
         """Stop the motors; only on the ground."""
         self.release()
-        await self._confirm("disarming", self._action.disarm, lambda: not self.state.is_armed)
+        await self._confirm("disarming", Command.arm(False), lambda: not self.state.is_armed)
+        await self._leave_take_off()
+
+    async def _leave_take_off(self) -> None:
+        """Choose Hold with the motors off, so that whoever arms next does not take off."""
+        if not self.state.is_armed and self.state.mode is Mode.TAKEOFF:
+            self.release()
+            await self._change_mode(Mode.HOLD)
 
     async def take_off(self, height_m: float) -> None:
         """Climb to a height above the present place and hold there."""
-        start_down_m = self.pose.position_ned_m[2]
-        tolerance_m = max(1.0, 0.03 * height_m)
+        start_down_m, origin = self.pose.position_ned_m[2], self.state.origin
+        if origin is None:
+            raise CommandUnconfirmed("take-off: the origin of the local frame was not heard")
+        command = Command.take_off(origin.altitude_m - start_down_m + height_m)
+        num_texts = self._telemetry.texts.num_heard
         self._modes.expect(self.state.mode, Mode.TAKEOFF, Mode.HOLD)
-        try:
-            usual_m = await self._action.get_takeoff_altitude()
-            await self._action.set_takeoff_altitude(height_m)
-        except MavsdkError as exc:
-            raise CommandRejected(f"take-off altitude {height_m:g} m was refused: {exc}") from exc
         try:
             await self._confirm(
                 "take-off",
-                self._action.takeoff,
+                command,
                 lambda: (
                     self.state.mode is Mode.TAKEOFF or self.state.landed is not Landed.ON_GROUND
                 ),
             )
             self._modes.expect(Mode.TAKEOFF, Mode.HOLD)
-            await self.wait_until(
-                lambda: start_down_m - self.pose.position_ned_m[2] > height_m - tolerance_m,
-                f"climb to {height_m:g} m",
-                timeout_s=30.0 + 2.0 * height_m,
+            await self._climb(start_down_m, height_m, num_texts)
+        except ControlTaken:
+            raise
+        except VehicleError:
+            with contextlib.suppress(VehicleError):
+                await self._leave_take_off()
+            raise
+
+    async def _climb(self, start_down_m: float, height_m: float, num_texts: int) -> None:
+        """Wait for the height; the motors must run and the climb go on."""
+        enough_m = height_m - max(1.0, 0.03 * height_m)
+        reached_m = 0.0
+
+        def climbed_m() -> float:
+            return start_down_m - self.pose.position_ned_m[2]
+
+        while self.state.is_armed and (reached_m := climbed_m()) <= enough_m:
+            next_m = min(reached_m + _CLIMB_M, enough_m)
+            try:
+                await self.wait_until(
+                    lambda: not self.state.is_armed or climbed_m() > next_m,  # noqa: B023
+                    "climb",
+                    _CLIMB_WITHIN_S,
+                )
+            except CommandUnconfirmed as exc:
+                raise CommandUnconfirmed(
+                    f"it does not climb: {climbed_m():.1f} m of {height_m:g} m after "
+                    f"{_CLIMB_WITHIN_S:g} s of vehicle time; telemetry says "
+                    f"{self._telemetry.describe()}{self._said_since(num_texts)}"
+                ) from exc
+        if not self.state.is_armed:
+            await self._listen(_TEXTS_COME_S)
+            raise CommandRejected(
+                f"the motors stopped in the take-off, at {climbed_m():.1f} m of {height_m:g} m"
+                + self._said_since(num_texts)
             )
-        finally:  # the parameter is the vehicle's: leave it as it was
-            with contextlib.suppress(MavsdkError):
-                await self._action.set_takeoff_altitude(usual_m)
+
+    async def _listen(self, duration_s: float) -> None:
+        """Wait for what the autopilot says about what it did; texts come up to a second later."""
+        end_s = self.time_s + duration_s
+        with contextlib.suppress(VehicleError):
+            while self.time_s < end_s:
+                await self._heard.next_message(checks_mode=False)
 
     async def start_offboard(self, setpoint: Setpoint) -> None:
-        """Hand the vehicle over to our setpoints; they must have begun to flow before."""
+        """Hand the vehicle over to our setpoints, which flow from here on."""
         self._modes.check(self.state)
         self._modes.expect_also(Mode.OFFBOARD)
-        asked_s = -math.inf
-        for _ in range(_ATTEMPTS):
-            start_s = self.time_s
-            while self.time_s < start_s + self._attempt_timeout_s:
-                await self.send_setpoint(setpoint)
-                if self.state.mode is Mode.OFFBOARD:
-                    self._modes.expect(Mode.OFFBOARD)
-                    return
-                if asked_s < start_s < self.time_s - _STREAM_BEFORE_OFFBOARD_S:
-                    asked_s = self.time_s
-                    await self._send_command(
-                        mavlink.MAV_CMD_DO_SET_MODE,
-                        mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
-                        PX4_OFFBOARD_MAIN_MODE,
-                    )
-                await self.next_pose()
-        raise CommandUnconfirmed(
-            f"mode '{Mode.OFFBOARD}': asked {_ATTEMPTS} times without effect; "
-            f"telemetry says {self._telemetry.describe()}"
-        )
+        await self.send_setpoint(setpoint)
+        num_texts, start_s = self._telemetry.texts.num_heard, self.time_s
+        ask_s = start_s + _STREAM_BEFORE_OFFBOARD_S
+        command = Command.choose(Mode.OFFBOARD)
+        while self.time_s < start_s + _ATTEMPTS * self._attempt_timeout_s:
+            await self.send_setpoint(setpoint)
+            if self.state.mode is Mode.OFFBOARD:
+                self._modes.expect(Mode.OFFBOARD)
+                return
+            if self.time_s > ask_s:
+                ask_s = self.time_s + self._attempt_timeout_s
+                await self._wire.post(command)  # setpoints must go on while the answer is under way
+            await self.next_pose()
+        raise self._failure(f"mode '{Mode.OFFBOARD}'", command, num_texts)
 
     async def send_setpoint(self, setpoint: Setpoint) -> None:
-        """Send one setpoint."""
-        message = self._message(
+        """Send one setpoint; after a pause, only once it is known that the mode is still ours."""
+        now, (sent_at, sent_s) = asyncio.get_running_loop().time(), self._sent
+        if now > sent_at + _SETPOINT_GAP_S or self.time_s > sent_s + _SETPOINT_GAP_S:
+            # In its failsafe PX4 would follow the setpoint again. Old telemetry may be on its way.
+            await self._wire.round_trip()
+            await self.next_heartbeat()
+            self._modes.check(self.state)
+        await self._wire.send(
             "SET_POSITION_TARGET_LOCAL_NED",
-            time_boot_ms=round(self.time_s * 1000.0),
+            time_boot_ms=round(self.time_s * 1000.0) % 2**32,
             coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
             type_mask=_POSITION_VELOCITY_YAW,
             yaw=setpoint.yaw_rad,
@@ -357,29 +313,20 @@ class MavsdkLink:
             **dict(zip(("vx", "vy", "vz"), setpoint.velocity_ned_m_s, strict=True)),
             **dict.fromkeys(("afx", "afy", "afz", "yaw_rate"), 0.0),
         )
-        try:
-            await self._direct.send_message(message)
-        except MavsdkError as exc:
-            raise LinkLost(f"a setpoint could not be sent to {self._url}: {exc}") from exc
+        self._sent = asyncio.get_running_loop().time(), self.time_s
 
     async def hold(self) -> None:
         """Stop and stay."""
-        await self._change_mode(Mode.HOLD, self._action.hold)
+        await self._change_mode(Mode.HOLD)
 
     async def return_home(self) -> None:
         """Begin to fly home and land there."""
-        await self._change_mode(Mode.RETURN, self._action.return_to_launch)
+        await self._change_mode(Mode.RETURN)
 
     async def land(self) -> None:
         """Begin to land here."""
-        await self._change_mode(Mode.LAND, self._action.land)
+        await self._change_mode(Mode.LAND)
 
     def release(self) -> None:
         """From now on any mode is welcome."""
         self._modes.release()
-
-
-def _to_logging(level: mavsdk.LogLevel, message: str, _file: str | None, _line: int) -> bool:
-    """Pass what MAVSDK says to Python's logging instead of standard output."""
-    logging.getLogger("mavsdk").log(10 * (int(level) + 1), "%s", message)
-    return True

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dronemon.errors import ControlTaken
 from dronemon.vehicle.link import Mode, VehicleState
 
-_FOLLOWED_BY = {Mode.RETURN: Mode.LAND}
-
 
 class ModeWatch:
     """The modes that are ours; at first every one is."""
@@ -15,8 +13,8 @@ class ModeWatch:
         self._expected: frozenset[Mode] | None = None  # None: any
 
     def expect(self, *modes: Mode) -> None:
-        """From now on these are ours, and what follows them by itself."""
-        self._expected = frozenset(modes) | {_FOLLOWED_BY.get(mode, mode) for mode in modes}
+        """From now on these are ours."""
+        self._expected = frozenset(modes)
 
     def expect_also(self, mode: Mode) -> None:
         """While a command is under way the mode is either still the old one or what we asked."""
@@ -28,8 +26,8 @@ class ModeWatch:
         self._expected = None
 
     def check(self, state: VehicleState) -> None:
-        """Raise ControlTaken if the mode is none of ours."""
-        if self._expected is not None and state.mode not in self._expected:
+        """Raise ControlTaken if the mode that flies is none of ours; with motors off none does."""
+        if self._expected is not None and state.is_armed and state.mode not in self._expected:
             who = "a failsafe of the autopilot" if state.is_failsafe else "the pilot"
             raise ControlTaken(
                 f"{who} chose mode '{state.mode}' where "

@@ -1,10 +1,12 @@
 """What a PX4 vehicle says of itself: MAVLink messages to state, poses and texts.
 
-Nothing here waits or sends: `Telemetry` is told the fields of one message after the other.
+Nothing here waits or sends: `Telemetry` is told the fields of one message after the other. What a
+message says is checked here: one that cannot be is counted and left out.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,16 +18,10 @@ from dronemon.errors import VehicleError
 from dronemon.frames import GeoPoint
 from dronemon.types import Pose, Vector3
 from dronemon.vehicle.link import Landed, Mode, StatusText, VehicleState
+from dronemon.vehicle.px4 import ROTORCRAFT, mode_of
+from dronemon.vehicle.status_texts import StatusTexts
+from dronemon.vehicle.vehicle_clock import LATE_MS, VehicleClock
 
-PX4_OFFBOARD_MAIN_MODE = 6
-_PX4_MODES = {  # HEARTBEAT's custom_mode: main mode << 16 | sub mode << 24
-    3 << 16: Mode.POSITION,
-    PX4_OFFBOARD_MAIN_MODE << 16: Mode.OFFBOARD,
-    4 << 16 | 2 << 24: Mode.TAKEOFF,
-    4 << 16 | 3 << 24: Mode.HOLD,
-    4 << 16 | 5 << 24: Mode.RETURN,
-    4 << 16 | 6 << 24: Mode.LAND,
-}
 _LANDED = {
     mavlink.MAV_LANDED_STATE_UNDEFINED: Landed.UNKNOWN,
     mavlink.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
@@ -33,30 +29,43 @@ _LANDED = {
     mavlink.MAV_LANDED_STATE_TAKEOFF: Landed.TAKING_OFF,
     mavlink.MAV_LANDED_STATE_LANDING: Landed.LANDING,
 }
+_UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message stays away
+    "EXTENDED_SYS_STATE": {"landed": Landed.UNKNOWN},
+    "SYS_STATUS": {"battery": None, "is_armable": False},
+    "ESTIMATOR_STATUS": {"is_position_good": False},
+}
+_TRUSTED_S = 10.0
+_REPEATED_S = 10.0
 _STALE_POSITION_S = 0.5
-_REBOOT_JUMP_S = 1.0
 _POSES_KEPT = 512
-_TEXTS_KEPT = 100
-_CHUNK_BYTES = 50
-_CHUNK_WAIT_S = 1.0
-_LOST = "…"
+_FURTHEST_M, _FASTEST_M_S, _WIDEST_RAD = 1e6, 1e3, 4.0 * math.pi
+_JUMP_M, _JUMP_RATIO, _JUMP_WITHIN_S = 2.0, 3.0, 1.0
+_POSITION_FLAGS = (
+    mavlink.ESTIMATOR_POS_HORIZ_ABS
+    | mavlink.ESTIMATOR_CONST_POS_MODE
+    | mavlink.ESTIMATOR_GPS_GLITCH
+)
+_Status = tuple[Mode, bool, bool]
 
 
 class Telemetry:
     """The newest state and the last poses of one vehicle.
 
-    state:          everything slow
     num_heartbeats: of the autopilot, so far
-    has_rebooted:   its clock went back since this was last set to False
+    texts:          what it says in words
     """
 
     def __init__(self) -> None:
-        self.state = VehicleState()
         self.num_heartbeats = 0
-        self.has_rebooted = False
+        self.texts = StatusTexts()
+        self._state = VehicleState()
+        self._clock = VehicleClock()
+        self._stamps_ms: dict[str, int] = {}  # newest by message, ATTITUDE's apart
+        self._heard_s: dict[str, float] = {}
+        self._left_s: dict[_Status, float] = {}  # when heartbeats said something for the last time
+        self._doubted: _Status | None = None
         self._poses: deque[Pose] = deque(maxlen=_POSES_KEPT)
         self._position: tuple[float, Vector3, Vector3] | None = None
-        self._texts = _StatusTexts()
         self._handlers: dict[str, Callable[[dict[str, Any]], None]] = {
             "HEARTBEAT": self._on_heartbeat,
             "ATTITUDE": self._on_attitude,
@@ -68,7 +77,8 @@ class Telemetry:
             "ESTIMATOR_STATUS": self._on_estimator_status,
             "HOME_POSITION": lambda fields: self._update(home=_geo_point(fields)),
             "GPS_GLOBAL_ORIGIN": lambda fields: self._update(origin=_geo_point(fields)),
-            "STATUSTEXT": lambda fields: self._texts.take(fields, self._time_s),
+            "GLOBAL_POSITION_INT": lambda fields: self._update(place=_geo_point(fields)),
+            "STATUSTEXT": lambda fields: self.texts.take(fields, self.time_s),
         }
 
     @property
@@ -77,13 +87,45 @@ class Telemetry:
         return tuple(self._handlers)
 
     def take(self, name: str, fields: dict[str, Any]) -> None:
-        """Take one message. Raises LookupError, TypeError or ValueError if it cannot be read."""
-        self._handlers[name](fields)
+        """Take one message."""
+        try:
+            if self._is_late(name, fields):
+                return
+            self._handlers[name](fields)
+        except (LookupError, TypeError, ValueError):
+            self._update(num_unreadable=self._state.num_unreadable + 1)
+        else:
+            self._heard_s[name] = self.time_s
+
+    def _is_late(self, name: str, fields: dict[str, Any]) -> bool:
+        """Whether a message with a stamp, ATTITUDE apart, is not of the present."""
+        stamp_ms = fields.get("time_boot_ms") or fields.get("time_usec", 0) // 1000
+        if name == "ATTITUDE" or not stamp_ms:
+            return False
+        newest_ms = self._clock.ahead_ms(self._stamps_ms.get(name, stamp_ms))
+        ahead_ms = self._clock.ahead_ms(stamp_ms)
+        if ahead_ms < newest_ms or ahead_ms > LATE_MS:
+            return True
+        self._stamps_ms[name] = stamp_ms
+        return False
+
+    @property
+    def state(self) -> VehicleState:
+        """The newest state; what has not been heard for long is not known any more."""
+        oldest_s = self.time_s - _TRUSTED_S
+        stale = [name for name in _UNKNOWN if self._heard_s.get(name, math.inf) < oldest_s]
+        changes = {key: value for name in stale for key, value in _UNKNOWN[name].items()}
+        return replace(self._state, **changes) if changes else self._state
 
     @property
     def pose(self) -> Pose | None:
         """The newest pose."""
         return self._poses[-1] if self._poses else None
+
+    @property
+    def time_s(self) -> float:
+        """Vehicle time, 0 as long as it is not known."""
+        return self._poses[-1].time_s if self._poses else 0.0
 
     def poses_around(self, time_s: float) -> tuple[Pose, Pose]:
         """The poses just before and just after an instant that is not newer than the newest."""
@@ -95,9 +137,17 @@ class Telemetry:
             f"{self._poses[0].time_s:.2f} s; the picture is too old to be placed"
         )
 
-    def texts(self) -> list[StatusText]:
+    def pose_times_s(self) -> list[float]:
+        """Vehicle times of the poses that are kept, the oldest first."""
+        return [pose.time_s for pose in self._poses]
+
+    def said(self) -> list[StatusText]:
         """What the autopilot said in words since the last call."""
-        return self._texts.said(self._time_s)
+        return self.texts.said(self.time_s)
+
+    def pop_problem(self) -> str | None:
+        """What has become wrong with the vehicle's clock since the last call."""
+        return self._clock.pop_problem()
 
     def describe(self) -> str:
         """The state in words."""
@@ -107,53 +157,53 @@ class Telemetry:
             + ("" if state.is_armable else ", arming checks not passed")
         )
 
-    def missing(self) -> list[str]:
-        """What a vehicle that is ready has said and this one has not."""
-        checks = {
-            "no local position": bool(self._poses),
-            "no home position": self.state.home is not None,
-            "no origin of the local frame": self.state.origin is not None,
-            "arming checks not passed": self.state.is_armable,
-        }
-        return [name for name, is_there in checks.items() if not is_there]
-
-    @property
-    def _time_s(self) -> float:
-        """Vehicle time, as far as it is known."""
-        return self._poses[-1].time_s if self._poses else 0.0
-
     def _update(self, **changes: Any) -> None:
-        self.state = replace(self.state, **changes)
+        self._state = replace(self._state, **changes)
 
     def _on_heartbeat(self, fields: dict[str, Any]) -> None:
-        if fields["autopilot"] != mavlink.MAV_AUTOPILOT_PX4:
-            return  # a camera or gimbal of the same system
-        self._update(
-            mode=_PX4_MODES.get(fields["custom_mode"], Mode.OTHER),
-            is_armed=bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
-            is_failsafe=fields["system_status"] == mavlink.MAV_STATE_CRITICAL,
+        """Take mode and armed state.
+
+        Heartbeats have no stamp, and one that comes late says what was: a state that was left
+        within the last seconds is believed again only when two in a row say it.
+        """
+        if fields["autopilot"] != mavlink.MAV_AUTOPILOT_PX4 or fields["type"] not in ROTORCRAFT:
+            raise ValueError("not the autopilot's")
+        status = (
+            mode_of(_whole(fields["custom_mode"], 0, 2**32 - 1)),
+            bool(_whole(fields["base_mode"], 0, 255) & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+            _whole(fields["system_status"], 0, 8) == mavlink.MAV_STATE_CRITICAL,
         )
+        state, doubted, self._doubted = self._state, self._doubted, None
         self.num_heartbeats += 1
+        before = (state.mode, state.is_armed, state.is_failsafe)
+        if status == before:
+            return
+        was_left_s = self._left_s.get(status, -math.inf)
+        if self.time_s - was_left_s < _REPEATED_S and doubted != status:
+            self._doubted = status
+            return
+        self._left_s[before] = self.time_s
+        self._update(mode=status[0], is_armed=status[1], is_failsafe=status[2])
 
     def _on_local_position(self, fields: dict[str, Any]) -> None:
-        time_s = fields["time_boot_ms"] / 1000.0
-        if self._position is not None and time_s < self._position[0] - _REBOOT_JUMP_S:
-            self.has_rebooted = True
-        self._position = (
-            time_s,
-            (fields["x"], fields["y"], fields["z"]),
-            (fields["vx"], fields["vy"], fields["vz"]),
-        )
+        position = _vector(fields, ("x", "y", "z"), _FURTHEST_M)
+        velocity = _vector(fields, ("vx", "vy", "vz"), _FASTEST_M_S)
+        newest = (self._clock.time_s(fields["time_boot_ms"]), position, velocity)
+        if self._position is not None and _is_jump(self._position, newest):
+            self._update(num_resets=self._state.num_resets + 1)
+        self._position = newest
 
     def _on_attitude(self, fields: dict[str, Any]) -> None:
-        if self._position is None:
-            return
-        time_s = fields["time_boot_ms"] / 1000.0
-        if self._poses and time_s <= self._poses[-1].time_s:
-            if time_s > self._poses[-1].time_s - _REBOOT_JUMP_S:
-                return  # a late datagram
-            self.has_rebooted = True
+        attitude_rad = _vector(fields, ("roll", "pitch", "yaw"), _WIDEST_RAD)
+        num_reboots = self._clock.num_reboots
+        time_s = self._clock.take(fields["time_boot_ms"], attitude_rad)
+        if self._clock.num_reboots != num_reboots:
+            self._position = None
             self._poses.clear()
+            self._stamps_ms.clear()
+            self._left_s.clear()
+        if time_s is None or self._position is None:
+            return
         # Positions come at a third of the attitude's rate: carry the newest one along its velocity.
         position_time_s, (north, east, down), velocity = self._position
         ahead_s = max(time_s - position_time_s, 0.0)
@@ -168,12 +218,12 @@ class Telemetry:
                     down + velocity[2] * ahead_s,
                 ),
                 velocity_ned_m_s=velocity,
-                attitude_rad=(fields["roll"], fields["pitch"], fields["yaw"]),
+                attitude_rad=attitude_rad,
             )
         )
 
     def _on_sys_status(self, fields: dict[str, Any]) -> None:
-        remaining = fields["battery_remaining"]
+        remaining = _whole(fields["battery_remaining"], -1, 100)
         health = fields["onboard_control_sensors_health"]
         self._update(
             battery=remaining / 100.0 if remaining >= 0 else None,
@@ -181,54 +231,38 @@ class Telemetry:
         )
 
     def _on_estimator_status(self, fields: dict[str, Any]) -> None:
-        self._update(is_position_good=bool(fields["flags"] & mavlink.ESTIMATOR_POS_HORIZ_ABS))
+        flags = fields["flags"] & _POSITION_FLAGS
+        self._update(is_position_good=flags == mavlink.ESTIMATOR_POS_HORIZ_ABS)
 
 
-class _StatusTexts:
-    """Puts the chunks of STATUSTEXT together.
+def _is_jump(before: tuple[float, Vector3, Vector3], after: tuple[float, Vector3, Vector3]) -> bool:
+    """Whether two places in a row are further apart than their velocities explain."""
+    (time_s, place, velocity), (next_time_s, next_place, next_velocity) = before, after
+    moved_m, passed_s = math.dist(place, next_place), next_time_s - time_s
+    explained_m = max(math.hypot(*velocity), math.hypot(*next_velocity)) * passed_s
+    return passed_s < _JUMP_WITHIN_S and moved_m > max(_JUMP_M, _JUMP_RATIO * explained_m)
 
-    A chunk that is not full is a text's last. PX4 ends its texts with a tab, and sends nothing more
-    after a chunk that the text just fills.
-    Source: MAVLink common message set, STATUSTEXT.
-    """
 
-    def __init__(self) -> None:
-        self._said: deque[StatusText] = deque(maxlen=_TEXTS_KEPT)
-        self._chunks: list[str] = []  # of the text under way
-        self._severity = self._number = self._next_chunk = 0
-        self._since_s = 0.0
+def _vector(fields: dict[str, Any], names: tuple[str, str, str], limit: float) -> Vector3:
+    """Three numbers of a message. Raises ValueError if one cannot be."""
+    first, second, third = (float(fields[name]) for name in names)
+    if not all(abs(value) <= limit for value in (first, second, third)):  # NaN is never
+        raise ValueError(f"{names}: {first}, {second}, {third}")
+    return first, second, third
 
-    def take(self, fields: dict[str, Any], now_s: float) -> None:
-        """Take one chunk; MAVLink 1 has no `id` and `chunk_seq`."""
-        chunk = str(fields["text"]).split("\0", 1)[0]
-        number, sequence = fields.get("id", 0), fields.get("chunk_seq", 0)
-        if number != self._number or sequence < self._next_chunk:
-            self._finish(_LOST)
-        if not self._chunks:
-            self._severity, self._number, self._since_s = fields["severity"], number, now_s
-        self._chunks += [chunk] if sequence == self._next_chunk else [_LOST, chunk]
-        self._next_chunk = sequence + 1
-        if len(chunk.encode()) < _CHUNK_BYTES or chunk.endswith("\t"):
-            self._finish()
 
-    def said(self, now_s: float) -> list[StatusText]:
-        """The texts since the last call, and one whose end does not come."""
-        if not 0.0 <= now_s - self._since_s < _CHUNK_WAIT_S:
-            self._finish(_LOST)
-        said = list(self._said)
-        self._said.clear()
-        return said
-
-    def _finish(self, mark: str = "") -> None:
-        if self._chunks:
-            text = "".join(self._chunks).rstrip() + mark
-            self._said.append(StatusText(severity=self._severity, text=text))
-        self._chunks, self._next_chunk = [], 0
+def _whole(value: int, least: int, most: int) -> int:
+    """A whole number of a message. Raises ValueError if it cannot be."""
+    if not least <= value <= most:
+        raise ValueError(f"{value} is not within {least} to {most}")
+    return value
 
 
 def _geo_point(fields: dict[str, Any]) -> GeoPoint:
+    names = ("lat", "lon", "alt") if "alt" in fields else ("latitude", "longitude", "altitude")
+    latitude, longitude, altitude = (fields[name] for name in names)
     return GeoPoint(
-        latitude_deg=fields["latitude"] / 1e7,
-        longitude_deg=fields["longitude"] / 1e7,
-        altitude_m=fields["altitude"] / 1e3,
+        latitude_deg=_whole(latitude, -900_000_000, 900_000_000) / 1e7,
+        longitude_deg=_whole(longitude, -1_800_000_000, 1_800_000_000) / 1e7,
+        altitude_m=altitude / 1e3,
     )

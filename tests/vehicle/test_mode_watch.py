@@ -11,14 +11,14 @@ from dronemon.vehicle.mode_watch import ModeWatch
 
 def test_any_mode_is_welcome_until_one_is_expected_and_after_release():
     watch = ModeWatch()
-    watch.check(VehicleState(mode=Mode.POSITION))
+    watch.check(VehicleState(is_armed=True, mode=Mode.POSITION))
     watch.expect_also(Mode.HOLD)
-    watch.check(VehicleState(mode=Mode.POSITION))
+    watch.check(VehicleState(is_armed=True, mode=Mode.POSITION))
     watch.expect(Mode.OFFBOARD)
     with pytest.raises(ControlTaken, match="the pilot chose mode 'position' where 'offboard'"):
-        watch.check(VehicleState(mode=Mode.POSITION))
+        watch.check(VehicleState(is_armed=True, mode=Mode.POSITION))
     watch.release()
-    watch.check(VehicleState(mode=Mode.POSITION))
+    watch.check(VehicleState(is_armed=True, mode=Mode.POSITION))
 
 
 def test_while_a_command_is_under_way_old_and_new_mode_are_ours():
@@ -26,13 +26,13 @@ def test_while_a_command_is_under_way_old_and_new_mode_are_ours():
     watch.expect(Mode.OFFBOARD)
     watch.expect_also(Mode.HOLD)
     for mode in (Mode.OFFBOARD, Mode.HOLD):
-        watch.check(VehicleState(mode=mode))
+        watch.check(VehicleState(is_armed=True, mode=mode))
     with pytest.raises(ControlTaken, match=r"a failsafe .* 'hold or offboard' was ours") as caught:
-        watch.check(VehicleState(mode=Mode.RETURN, is_failsafe=True))
+        watch.check(VehicleState(is_armed=True, mode=Mode.RETURN, is_failsafe=True))
     assert caught.value.by_failsafe
 
 
-def test_a_return_ends_in_a_landing():
+def test_with_motors_off_no_mode_flies():
     watch = ModeWatch()
-    watch.expect(Mode.RETURN)
-    watch.check(VehicleState(mode=Mode.LAND))
+    watch.expect(Mode.TAKEOFF)
+    watch.check(VehicleState(mode=Mode.POSITION))

@@ -2,106 +2,165 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
+from messages import HEARTBEAT, HOME, READY, attitude, pose, posed, position
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import VehicleError
-from dronemon.vehicle import Landed, Mode, StatusText
+from dronemon.vehicle import Landed, Mode
+from dronemon.vehicle.px4 import MODES
 from dronemon.vehicle.telemetry import Telemetry
 
-HEARTBEAT = {
-    "autopilot": mavlink.MAV_AUTOPILOT_PX4,
-    "base_mode": mavlink.MAV_MODE_FLAG_SAFETY_ARMED,
-    "custom_mode": 393216,
-    "system_status": mavlink.MAV_STATE_ACTIVE,
-}
-LONG = "Preflight Fail: the heading estimate is not stable, wait or move the vehicle away from iron"
+DISARMED = {"base_mode": 0, "system_status": mavlink.MAV_STATE_STANDBY}
 
 
-def position(time_s, x=0.0, vx=0.0):
-    still = {"y": 2.0, "z": -3.0, "vy": 0.0, "vz": 0.0}
-    return {"time_boot_ms": round(time_s * 1000.0), "x": x, "vx": vx, **still}
-
-
-def attitude(time_s, yaw=0.0):
-    return {"time_boot_ms": round(time_s * 1000.0), "roll": 0.0, "pitch": 0.0, "yaw": yaw}
-
-
-def posed(*times_s):
-    telemetry = Telemetry()
-    for time_s in times_s:
-        telemetry.take("LOCAL_POSITION_NED", position(time_s))
-        telemetry.take("ATTITUDE", attitude(time_s))
-    return telemetry
-
-
-def chunks(text, number, severity=4):
-    """STATUSTEXT's fields as PX4 cuts a text."""
-    pieces = [text[i : i + 50] for i in range(0, len(text), 50)]
-    return [
-        {"severity": severity, "text": piece, "id": number, "chunk_seq": i}
-        for i, piece in enumerate(pieces)
-    ]
-
-
-def say(telemetry, *messages):
-    for fields in messages:
-        telemetry.take("STATUSTEXT", fields)
-    return [said.text for said in telemetry.texts()]
+def beat(telemetry, **fields):
+    telemetry.take("HEARTBEAT", HEARTBEAT | fields)
 
 
 @pytest.mark.parametrize(
     ("custom_mode", "mode"),
     [
-        (196608, Mode.POSITION),
-        (393216, Mode.OFFBOARD),
-        (33816576, Mode.TAKEOFF),
+        *((main << 16 | sub << 24, mode) for (main, sub), mode in MODES.items()),
         (50593792, Mode.HOLD),
-        (84148224, Mode.RETURN),
-        (100925440, Mode.LAND),
-        (67371008, Mode.OTHER),
+        (4 << 16 | 11 << 24, Mode.OTHER),
+        (255 << 16, Mode.OTHER),
     ],
 )
 def test_heartbeat_says_mode_and_arming(custom_mode, mode):
     telemetry = Telemetry()
-    telemetry.take("HEARTBEAT", HEARTBEAT | {"custom_mode": custom_mode})
+    beat(telemetry, custom_mode=custom_mode)
     assert telemetry.state.mode is mode
     assert telemetry.state.is_armed
     assert not telemetry.state.is_failsafe
-    telemetry.take("HEARTBEAT", HEARTBEAT | {"base_mode": 0, "system_status": 5})
+    beat(telemetry, base_mode=0, system_status=5)
     assert not telemetry.state.is_armed
     assert telemetry.state.is_failsafe
     assert telemetry.num_heartbeats == 2
 
 
-def test_a_gimbals_heartbeat_is_not_the_autopilots():
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"autopilot": mavlink.MAV_AUTOPILOT_INVALID},
+        {"autopilot": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA},
+        {"type": mavlink.MAV_TYPE_ONBOARD_CONTROLLER},
+        {"custom_mode": None},
+        {"custom_mode": -1},
+        {"base_mode": 256},
+        {"system_status": "armed"},
+    ],
+)
+def test_a_heartbeat_that_is_not_the_autopilots_is_counted_and_left_out(fields):
     telemetry = Telemetry()
-    telemetry.take("HEARTBEAT", HEARTBEAT | {"autopilot": mavlink.MAV_AUTOPILOT_INVALID})
+    beat(telemetry, **fields)
     assert not telemetry.state.is_armed
     assert telemetry.num_heartbeats == 0
+    assert telemetry.state.num_unreadable == 1
+
+
+def test_heartbeats_that_are_repeated_late_change_nothing():
+    telemetry = posed(100.0)
+    for now_s in range(101, 121):
+        pose(telemetry, now_s)
+        beat(telemetry, **(DISARMED if now_s < 106 else {}))
+        beat(telemetry, **(DISARMED if now_s < 112 else {}))  # by another route, 6 s late
+        assert telemetry.state.is_armed == (now_s >= 106), now_s
+
+
+def test_a_state_that_comes_back_soon_is_believed_at_its_second_heartbeat():
+    telemetry = posed(100.0)
+    beat(telemetry, **DISARMED)
+    beat(telemetry)
+    assert telemetry.state.is_armed
+    beat(telemetry, **DISARMED)
+    assert telemetry.state.is_armed
+    beat(telemetry, **DISARMED)
+    assert not telemetry.state.is_armed
+    pose(telemetry, 110.0)
+    beat(telemetry)
+    assert telemetry.state.is_armed
 
 
 def test_slow_state_is_read():
-    telemetry = Telemetry()
-    assert len(telemetry.missing()) == 4
-    place = {"latitude": 473977420, "longitude": 85455940, "altitude": 488000}
-    telemetry.take("HOME_POSITION", place)
-    telemetry.take("GPS_GLOBAL_ORIGIN", place)
+    telemetry = posed(100.0)
+    for name, fields in READY.items():
+        telemetry.take(name, fields)
     telemetry.take("EXTENDED_SYS_STATE", {"landed_state": mavlink.MAV_LANDED_STATE_LANDING})
-    telemetry.take("ESTIMATOR_STATUS", {"flags": 0})
-    health = {"onboard_control_sensors_health": mavlink.MAV_SYS_STATUS_PREARM_CHECK}
-    telemetry.take("SYS_STATUS", {"battery_remaining": 73, **health})
     state = telemetry.state
-    assert state.home == state.origin
+    assert state.home == state.origin == state.place
     assert state.home.latitude_deg == pytest.approx(47.397742)
     assert state.home.altitude_m == 488.0
     assert state.landed is Landed.LANDING
-    assert not state.is_position_good
+    assert state.is_position_good
+    assert state.is_armable
     assert state.battery == 0.73
-    assert telemetry.missing() == ["no local position"]
     telemetry.take("SYS_STATUS", {"battery_remaining": -1, "onboard_control_sensors_health": 0})
     assert telemetry.state.battery is None
     assert not telemetry.state.is_armable
+    assert telemetry.state.num_unreadable == 0
+
+
+@pytest.mark.parametrize(
+    ("flags", "is_good"),
+    [
+        (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_ATTITUDE, True),
+        (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_GPS_GLITCH, False),
+        (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_CONST_POS_MODE, False),
+        (mavlink.ESTIMATOR_POS_HORIZ_REL, False),
+    ],
+)
+def test_a_good_position_is_absolute_and_measured(flags, is_good):
+    telemetry = Telemetry()
+    telemetry.take("ESTIMATOR_STATUS", {"flags": flags})
+    assert telemetry.state.is_position_good == is_good
+
+
+def test_what_is_not_heard_for_ten_seconds_is_not_trusted():
+    telemetry = posed(100.0)
+    for name, fields in READY.items():
+        telemetry.take(name, fields)
+    telemetry.take("EXTENDED_SYS_STATE", {"landed_state": mavlink.MAV_LANDED_STATE_ON_GROUND})
+    pose(telemetry, 109.0)
+    assert telemetry.state.landed is Landed.ON_GROUND
+    pose(telemetry, 110.5)
+    state = telemetry.state
+    assert state.landed is Landed.UNKNOWN
+    assert state.battery is None
+    assert not state.is_armable
+    assert not state.is_position_good
+    assert state.home is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [
+        ("LOCAL_POSITION_NED", position(10.1, x=None)),
+        ("LOCAL_POSITION_NED", position(10.1, vx=math.nan)),
+        ("LOCAL_POSITION_NED", position(10.1, z=math.inf)),
+        ("LOCAL_POSITION_NED", position(10.1, x=1e9)),
+        ("ATTITUDE", attitude(10.1, roll=None)),
+        ("ATTITUDE", attitude(10.1, yaw=-math.inf)),
+        ("ATTITUDE", attitude(10.1, pitch=1e6)),
+        ("SYS_STATUS", {"battery_remaining": 101, "onboard_control_sensors_health": 0}),
+        ("EXTENDED_SYS_STATE", {"landed_state": 77}),
+        ("HOME_POSITION", HOME | {"latitude": 900000001}),
+        ("HOME_POSITION", HOME | {"altitude": None}),
+        ("ESTIMATOR_STATUS", {"flags": None}),
+        ("STATUSTEXT", {"severity": None, "text": "hi"}),
+        ("ATTITUDE", {}),
+    ],
+)
+def test_a_message_with_numbers_that_cannot_be_is_counted_and_left_out(name, fields):
+    telemetry = posed(10.0)
+    before = telemetry.state
+    telemetry.take(name, fields)
+    assert telemetry.state.num_unreadable == before.num_unreadable + 1
+    assert telemetry.pose.time_s == 10.0
+    pose(telemetry, 10.2, x=1.0)
+    assert telemetry.pose.position_ned_m[0] == 1.0
 
 
 def test_pose_carries_a_position_along_its_velocity():
@@ -117,15 +176,50 @@ def test_pose_carries_a_position_along_its_velocity():
     assert telemetry.pose.time_s == 1.02  # the position is too old to be carried so far
 
 
-def test_late_attitude_is_dropped_and_a_reboot_is_seen():
-    telemetry = posed(5.0, 5.1)
-    telemetry.take("ATTITUDE", attitude(5.05))
+def test_late_messages_are_dropped():
+    telemetry = posed(5.0)
+    telemetry.take("LOCAL_POSITION_NED", position(5.1, x=7.0))
+    telemetry.take("ESTIMATOR_STATUS", {"flags": 16, "time_usec": 5_100_000})
+    telemetry.take("LOCAL_POSITION_NED", position(3.6, x=1.0))
+    telemetry.take("ATTITUDE", attitude(3.6, yaw=1.0))
+    telemetry.take("ESTIMATOR_STATUS", {"flags": 0, "time_usec": 3_600_000})
+    telemetry.take("ATTITUDE", attitude(5.1))
     assert telemetry.pose.time_s == 5.1
-    assert not telemetry.has_rebooted
-    telemetry.take("LOCAL_POSITION_NED", position(1.0))
-    telemetry.take("ATTITUDE", attitude(1.0))
-    assert telemetry.has_rebooted
-    assert telemetry.pose.time_s == 1.0
+    assert telemetry.pose.position_ned_m[0] == 7.0
+    assert telemetry.state.is_position_good
+    assert telemetry.state.num_unreadable == 0
+
+
+def test_poses_go_on_where_the_boot_time_wraps():
+    wrap_s = 2**32 / 1000.0
+    telemetry = posed(*(wrap_s - 0.5 + 0.02 * i for i in range(50)))
+    assert telemetry.pose.time_s == pytest.approx(wrap_s + 0.48, abs=0.002)
+    assert telemetry.pop_problem() is None
+
+
+def test_after_a_reboot_poses_come_of_the_new_boot():
+    telemetry = posed(500.0)
+    beat(telemetry)
+    for i in range(80):
+        pose(telemetry, 4.0 + 0.02 * i)
+    assert "rebooted" in telemetry.pop_problem()
+    assert telemetry.pose.time_s == pytest.approx(5.58)
+    assert telemetry.state.num_resets == 0
+
+
+def test_a_jump_that_the_velocity_does_not_explain_is_a_reset():
+    telemetry = posed(10.0)
+    pose(telemetry, 10.1, x=1.0, vx=12.0)
+    pose(telemetry, 10.2, x=3.0, vx=12.0)
+    assert telemetry.state.num_resets == 0
+    pose(telemetry, 10.3, x=16.0, vx=12.0)
+    assert telemetry.state.num_resets == 1
+    pose(telemetry, 10.4, x=17.2, vx=12.0, z=-6.0)
+    assert telemetry.state.num_resets == 1
+    pose(telemetry, 10.5, x=18.4, vx=0.0, z=-13.0)
+    assert telemetry.state.num_resets == 2
+    pose(telemetry, 20.0, x=200.0)  # nothing was heard meanwhile: it may have flown
+    assert telemetry.state.num_resets == 2
 
 
 def test_poses_around_an_instant():
@@ -133,48 +227,3 @@ def test_poses_around_an_instant():
     assert [pose.time_s for pose in telemetry.poses_around(1.15)] == [1.1, 1.2]
     with pytest.raises(VehicleError, match=r"no pose is kept for vehicle time 0.50 s"):
         telemetry.poses_around(0.5)
-
-
-def test_long_text_is_put_together():
-    telemetry = Telemetry()
-    for fields in chunks(LONG + "\t", number=7, severity=2):
-        telemetry.take("STATUSTEXT", fields)
-    assert telemetry.texts() == [StatusText(severity=2, text=LONG)]
-    assert telemetry.texts() == []
-
-
-def test_short_texts_lose_their_padding_only():
-    padded = [{"severity": 6, "text": "Ready for takeoff!\t\0\0\0"}, *chunks("Armed", number=3)]
-    assert say(Telemetry(), *padded) == ["Ready for takeoff!", "Armed"]
-
-
-@pytest.mark.parametrize(
-    ("lost", "text"),
-    [(0, f"…{LONG[50:]}"), (1, f"{LONG[:50]}…")],
-)
-def test_a_lost_chunk_is_marked(lost, text):
-    heard = chunks(LONG, number=7)
-    del heard[lost]
-    assert say(Telemetry(), *heard, *chunks("Landing detected", number=8)) == [
-        text,
-        "Landing detected",
-    ]
-
-
-def test_a_chunk_lost_in_the_middle_is_marked():
-    first, _, last = chunks(2 * LONG[:50] + "end", number=7)
-    assert say(Telemetry(), first, last) == [f"{LONG[:50]}…end"]
-
-
-def test_a_text_without_its_end_waits_a_second_of_vehicle_time():
-    telemetry = posed(10.0)
-    assert say(telemetry, chunks(LONG, number=7)[0]) == []
-    telemetry.take("LOCAL_POSITION_NED", position(10.9))
-    telemetry.take("ATTITUDE", attitude(10.9))
-    assert telemetry.texts() == []
-    telemetry.take("ATTITUDE", attitude(11.0))
-    assert [said.text for said in telemetry.texts()] == [f"{LONG[:50]}…"]
-
-
-def test_a_text_that_fills_its_chunk_ends_with_px4s_tab():
-    assert say(Telemetry(), *chunks(LONG[:49] + "\t", number=7)) == [LONG[:49]]

@@ -1,0 +1,291 @@
+"""MAVSDK 4.1 as a wire: messages of one autopilot in, messages and acknowledged commands out.
+
+Telemetry is read message by message (`mavlink_direct`), since only those carry the vehicle's time.
+Setpoints go out message by message too. MAVSDK's offboard plugin would repeat the last one at 20 Hz
+by itself, also while this program hangs, and so defeat the autopilot's own failsafe. Nor are its
+actions used: they take any component of the vehicle's system for the autopilot.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import json
+import logging
+import math
+import socket
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import mavsdk
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, MavsdkConnectionError, MavsdkError
+from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkMessage
+from mavsdk.asyncio.system import System
+from pymavlink.dialects.v20 import common as mavlink
+
+from dronemon.errors import CommandUnconfirmed, LinkLost, LinkTimeout
+from dronemon.mission.addresses import parse_udpin
+from dronemon.vehicle.neighbours import autopilots, choose
+from dronemon.vehicle.px4 import ANSWERS, AUTOPILOT_COMPONENT, Command
+
+_LISTEN_S = 1.5
+_SENDS, _RESEND_S = 4, 0.6
+_PINGS = 8
+_HEARTBEAT_S = 1.0
+_PARAMS = tuple(f"param{i}" for i in range(1, 8))
+_Take = Callable[[str, dict[str, Any]], None]
+
+
+class Wire:
+    """The link to one autopilot; open inside its `async with`.
+
+    take:  is told each message of the autopilot: its name and fields
+    names: of the messages that are wanted
+
+    Its limits are wall time.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        take: _Take,
+        names: Iterable[str],
+        system_id: int | None,
+        connect_timeout_s: float,
+    ) -> None:
+        self._results: dict[int, int] = {}  # the newest answer by command
+        self._url = url
+        self._take = take
+        self._names = (*names, "COMMAND_ACK", "PING")
+        self._system_id = system_id
+        self._connect_timeout_s = connect_timeout_s
+        self._num_acks: dict[int, int] = {}
+        self._beat_at = math.inf  # the event loop's time of the newest heartbeat
+        self._answered = asyncio.Event()
+        self._pings: dict[int, float] = {}  # when each was sent, by its stamp
+        self._round_trip_s: float | None = None
+        self._readers: list[asyncio.Task[None]] = []
+        self._exit = contextlib.AsyncExitStack()
+
+    async def __aenter__(self) -> Wire:
+        try:
+            await self._connect()
+        except BaseException:
+            await self._exit.aclose()
+            raise
+        return self
+
+    async def __aexit__(self, *exc: Any) -> None:
+        for reader in self._readers:
+            reader.cancel()
+        # A reader that fails cancels the body: only then has its group something to say.
+        if isinstance(exc[1], asyncio.CancelledError):
+            await self._exit.__aexit__(*exc)
+        else:
+            await self._exit.aclose()
+
+    # Connecting
+
+    async def _connect(self) -> None:
+        mavsdk.log_subscribe(_to_logging)
+        _check_port(self._url)
+        configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
+        self._own = (configuration.system_id, configuration.component_id)
+        connections = await self._exit.enter_async_context(Mavsdk(configuration))
+        try:
+            await connections.add_any_connection(self._url)
+        except MavsdkConnectionError as exc:
+            raise LinkTimeout(
+                f"cannot open {self._url}: {exc}; is the port free and the URL right?"
+            ) from exc
+        system = await self._find(connections)
+        self._system_id = await system.get_system_id()
+        self._direct = MavlinkDirectAsync(system)
+        self._exit.callback(self._direct.destroy)
+        self._beat_at = asyncio.get_running_loop().time()
+        group = await self._exit.enter_async_context(asyncio.TaskGroup())
+        self._readers = [
+            group.create_task(self._read(name), name=f"mavlink {name}") for name in self._names
+        ]
+        self._readers.append(group.create_task(self._ask_for_heartbeats(), name="heartbeats"))
+
+    async def _find(self, connections: Mavsdk) -> System:
+        """Listen to who is there, and choose the vehicle. Raises LinkTimeout, WrongVehicle."""
+        systems: dict[int, System] = {}
+        heard: dict[tuple[int, int], dict[str, Any]] = {}
+        is_there = asyncio.Event()
+
+        async def listen(system: System) -> None:
+            direct = MavlinkDirectAsync(system)
+            try:
+                async for message in direct.subscribe_message("HEARTBEAT"):
+                    sender = message.system_id, message.component_id
+                    heard[sender] = json.loads(message.fields_json)
+                    if autopilots(heard):
+                        is_there.set()
+            finally:
+                direct.destroy()
+
+        async def discover() -> None:
+            async for _ in connections.on_new_system():
+                for system in await connections.get_systems():
+                    number = await system.get_system_id()
+                    if number not in systems:
+                        systems[number] = system
+                        listeners.append(group.create_task(listen(system), name=f"system {number}"))
+
+        async with asyncio.TaskGroup() as group:
+            listeners = [group.create_task(discover(), name="discovery")]
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._connect_timeout_s):
+                    await is_there.wait()
+                await asyncio.sleep(_LISTEN_S)
+            for listener in listeners:
+                listener.cancel()
+        if not autopilots(heard):
+            raise LinkTimeout(
+                f"no autopilot heard on {self._url} after {self._connect_timeout_s:g} s; "
+                "is the vehicle on and streaming there?"
+            )
+        return systems[choose(heard, self._system_id, self._own, self._url)]
+
+    # Reading
+
+    async def _read(self, name: str) -> None:
+        sender = self._system_id, AUTOPILOT_COMPONENT
+        async for message in self._direct.subscribe_message(name):
+            if (message.system_id, message.component_id) != sender:
+                continue
+            try:
+                fields = json.loads(message.fields_json)
+            except ValueError:
+                fields = {}
+            if name == "COMMAND_ACK":
+                self._take_ack(fields)
+            elif name == "PING":
+                self._take_ping(fields)
+            else:
+                self._take(name, fields)
+                if name == "HEARTBEAT":
+                    self._beat_at = asyncio.get_running_loop().time()
+
+    async def _ask_for_heartbeats(self) -> None:
+        """Ask where they stay away: there is one a second, and any may be lost."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(_HEARTBEAT_S)
+            if loop.time() - self._beat_at > 2.0 * _HEARTBEAT_S:
+                with contextlib.suppress(LinkLost):
+                    await self.post(Command.send(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
+
+    def _take_ack(self, fields: dict[str, Any]) -> None:
+        command, result = fields.get("command"), fields.get("result")
+        if isinstance(command, int) and isinstance(result, int):
+            self._results[command] = result
+            if result != mavlink.MAV_RESULT_IN_PROGRESS:
+                self._num_acks[command] = self._num_acks.get(command, 0) + 1
+                self._answered.set()
+
+    def _take_ping(self, fields: dict[str, Any]) -> None:
+        to = fields.get("target_system"), fields.get("target_component")
+        sent_at = self._pings.get(fields.get("time_usec", 0))
+        if to == self._own and sent_at is not None:
+            self._round_trip_s = asyncio.get_running_loop().time() - sent_at
+            self._answered.set()
+
+    # Sending
+
+    async def send(self, name: str, **fields: float | None) -> None:
+        """Send one message to the autopilot; None is NaN. Raises LinkLost."""
+        target = {"target_system": self._system_id, "target_component": AUTOPILOT_COMPONENT}
+        await self._send(name, target | fields)
+
+    async def _send(self, name: str, fields: dict[str, Any]) -> None:
+        message = MavlinkMessage(message_name=name, fields_json=json.dumps(fields))
+        try:
+            await self._direct.send_message(message)
+        except MavsdkError as exc:
+            raise LinkLost(f"nothing can be sent to {self._url}: {exc}") from exc
+
+    async def post(self, command: Command, confirmation: int = 0) -> None:
+        """Send a command once. Raises LinkLost."""
+        params = (*command.params, *(math.nan,) * (len(_PARAMS) - len(command.params)))
+        fields = {
+            name: None if math.isnan(value) else value
+            for name, value in zip(_PARAMS, params, strict=True)
+        }
+        await self.send("COMMAND_LONG", command=command.number, confirmation=confirmation, **fields)
+
+    async def command(self, command: Command) -> None:
+        """Send a command until it is acknowledged, which only says that it came.
+
+        Raises CommandUnconfirmed, LinkLost.
+        """
+        number = command.number
+        num_acks = self._num_acks.get(number, 0)
+        for confirmation in range(_SENDS):
+            await self.post(command, confirmation)
+            await self._wait(lambda: self._num_acks.get(number, 0) > num_acks)
+            if self._num_acks.get(number, 0) > num_acks:
+                return
+        self._results.pop(number, None)
+        raise CommandUnconfirmed(f"no answer to command {number}, sent {_SENDS} times")
+
+    def answer(self, command: Command) -> str:
+        """The autopilot's newest answer to a command, in words."""
+        result = self._results.get(command.number)
+        return "no answer" if result is None else ANSWERS.get(result, f"result {result}")
+
+    async def round_trip(self) -> float:
+        """Send pings until one is answered. -> the wall time that it took, in s.
+
+        Whatever the vehicle sent before the answer has been heard by then.
+
+        Raises LinkLost.
+        """
+        self._pings, self._round_trip_s = {}, None
+        for _ in range(_PINGS):
+            sent_at = asyncio.get_running_loop().time()
+            stamp_us = round(sent_at * 1e6)
+            self._pings[stamp_us] = sent_at
+            everyone = {"target_system": 0, "target_component": 0}
+            await self._send("PING", {"time_usec": stamp_us, "seq": 0} | everyone)
+            await self._wait(lambda: self._round_trip_s is not None)
+            if self._round_trip_s is not None:
+                return self._round_trip_s
+        raise LinkLost(
+            f"the vehicle on {self._url} answers no ping within {_PINGS * _RESEND_S:.0f} s"
+        )
+
+    async def _wait(self, condition: Callable[[], bool]) -> None:
+        """Wait for an answer, until it is time to ask again."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_RESEND_S):
+                while not condition():
+                    self._answered.clear()
+                    await self._answered.wait()
+
+
+def _check_port(url: str) -> None:
+    """Refuse a port that another program listens on: only one of the two would hear the vehicle."""
+    try:
+        address = parse_udpin(url)
+    except ValueError:
+        return
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(address)
+        except OSError as exc:
+            if exc.errno == errno.EADDRINUSE:
+                raise LinkTimeout(
+                    f"another program listens on {url}, and only one of the two would hear the "
+                    "vehicle; end it, or give each a port of its own"
+                ) from exc
+
+
+def _to_logging(level: mavsdk.LogLevel, message: str, _file: str | None, _line: int) -> bool:
+    """Pass what MAVSDK says to Python's logging instead of standard output."""
+    logging.getLogger("mavsdk").log(10 * (int(level) + 1), "%s", message)
+    return True
