@@ -10,7 +10,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from dronemon.errors import CommandRejected, CommandUnconfirmed, ControlTaken, VehicleError
+from dronemon.errors import (
+    CommandRejected,
+    CommandUnconfirmed,
+    ControlTaken,
+    LinkLost,
+    VehicleError,
+)
 from dronemon.types import Pose
 from dronemon.vehicle.hearing import Hearing
 from dronemon.vehicle.link import Landed, Mode, Setpoint, StatusText, VehicleState
@@ -141,8 +147,9 @@ class MavsdkLink:
                     + self._said_since(num_texts)
                 )
             if loop.time() > asked_at + _ASK_EVERY_S:
-                await self._ask_for_readiness()
-                round_trips_s = [await self._wire.round_trip() for _ in range(_ROUND_TRIPS)]
+                with contextlib.suppress(CommandUnconfirmed, LinkLost):  # it is missing then
+                    await self._ask_for_readiness()
+                    round_trips_s = [await self._wire.round_trip() for _ in range(_ROUND_TRIPS)]
                 asked_at = loop.time()
             await self._heard.next_message()
 
