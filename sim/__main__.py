@@ -1,7 +1,7 @@
 """`python -m sim MISSION.yaml`: the simulated world, vehicle and camera in one process.
 
 When all is up it prints one line of JSON on stdout (`camera`, `targets_au`, `truth`); logs go to
-stderr. It ends on SIGTERM or SIGINT.
+stderr. It ends on SIGTERM or SIGINT. With --parent each line on stdin is a fault, such as `gps+10`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,22 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from dronemon.errors import MissionFileError
 from dronemon.mission import Mission
 from dronemon.mission.addresses import parse_udpin
+from dronemon.mission.faults import Fault
 from dronemon.mission.load import find_mission, load_mission
 from sim.camera import CameraServer
-from sim.faults import parse_fault
+from sim.faults import (
+    FaultSchedule,
+    mission_faults,
+    parse_camera_fault,
+    parse_vehicle_fault,
+)
 from sim.flight import MockFlight
 from sim.follow import Follower
 from sim.world import TruthFile, World
@@ -55,22 +62,27 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
-    if options.parent:
-        thread = threading.Thread(target=_wait_for_parent, args=(loop, stop), daemon=True)
-        thread.start()
     world = World(mission)
     model, seed = mission.camera.model, mission.simulation.seed
     async with contextlib.AsyncExitStack() as stack:
+        simulated: Follower | MockFlight
         if options.follow is not None:
-            follower = await stack.enter_async_context(Follower(world, options.follow))
-            camera = CameraServer(model, seed, follower.scene, truth.write)
-            vehicle = follower.run(camera)
+            listed = mission_faults(mission, parse_camera_fault)
+            simulated = Follower(world, options.follow, listed)
+            await stack.enter_async_context(simulated)
         else:
-            flight = MockFlight(mission, world, tuple(options.fault))
-            flight.camera = camera = CameraServer(model, seed, flight.scene, truth.write)
-            await flight.open_links(options.mavlink_out)
-            stack.callback(flight.close_links)
-            vehicle = flight.run(options.speed_up or mission.vehicle.speed_up)
+            simulated = MockFlight(mission, world, tuple(options.fault))
+            await simulated.open_links(options.mavlink_out)
+            stack.callback(simulated.close_links)
+        camera = CameraServer(model, seed, simulated.scene, truth.write, simulated.active_faults)
+        if isinstance(simulated, Follower):
+            vehicle = simulated.run(camera)
+        else:
+            vehicle = simulated.run(options.speed_up or mission.vehicle.speed_up)
+        if options.parent:
+            parse = parse_vehicle_fault if options.follow is None else parse_camera_fault
+            told = (loop, stop, partial(_add_fault, simulated.faults, parse))
+            threading.Thread(target=_listen_to_parent, args=told, daemon=True).start()
         async with camera, asyncio.TaskGroup() as tasks:
             running = tasks.create_task(vehicle, name="vehicle")
             _announce(camera, world, truth)
@@ -90,11 +102,24 @@ def _announce(camera: CameraServer, world: World, truth: TruthFile) -> None:
     sys.stdout.flush()
 
 
-def _wait_for_parent(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
-    """Stop when stdin closes, which it does when the parent is gone."""
-    while os.read(0, 4096):
-        pass
+def _listen_to_parent(
+    loop: asyncio.AbstractEventLoop, stop: asyncio.Event, add_fault: Callable[[str], None]
+) -> None:
+    """Take faults, line by line; stop when stdin closes, which it does when the parent is gone."""
+    unread = b""
+    while chunk := os.read(0, 4096):
+        *lines, unread = (unread + chunk).split(b"\n")
+        for line in lines:
+            loop.call_soon_threadsafe(add_fault, line.decode(errors="replace").strip())
     loop.call_soon_threadsafe(stop.set)
+
+
+def _add_fault(faults: FaultSchedule, parse: Callable[[str], Fault], text: str) -> None:
+    try:
+        faults.add(parse(text))
+        _LOG.info("fault: %s", text)
+    except ValueError as exc:
+        _LOG.error("%s", exc)
 
 
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -112,11 +137,11 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the truth there")
     parser.add_argument(
         "--fault",
-        type=_checked(parse_fault),
+        type=_checked(parse_vehicle_fault),
         action="append",
         default=[],
-        metavar="KIND[=VALUE]@SECONDS[+DURATION]",
-        help="a fault, in vehicle seconds after arming; may be repeated",
+        metavar="KIND[=VALUE][@SECONDS][+DURATION]",
+        help="a fault, at once or in vehicle seconds after arming; may be repeated",
     )
     parser.add_argument(
         "--follow",

@@ -17,7 +17,8 @@ from dronemon.types import Vector3
 from sim.commander import Commander, CommanderInputs
 from sim.control import PositionController, TrajectorySetpoint
 from sim.dynamics import GRAVITY_M_S2, Quadrotor, Wind
-from sim.estimator import Estimator
+from sim.estimator import READY_AFTER_S, Estimator
+from sim.fence import Geofence
 from sim.geodesy import LocalMap
 from sim.mission_protocol import MissionStore
 from sim.modes import Px4Mode
@@ -27,8 +28,10 @@ from sim.parameters import Parameters
 STEP_S = 0.01
 BOOT_S = 1.6
 """From boot to the first heartbeat."""
-_POSITION_AFTER_S = 3.0
 _READY_AFTER_S = 5.0
+_FENCE_INTERVAL_STEPS = 20
+_HOME_MOVES_M = 1.0
+_HOME_RISES_M = 1.5
 _LANDED_AFTER_S = 1.0
 _LANDING_THRUST_M_S2 = 0.9 * GRAVITY_M_S2
 _CLIMB_WISH_M = 0.3
@@ -42,6 +45,9 @@ class Autopilot:
     time_s:      since boot
     origin:      of the local frame
     start_ned_m: where it stands at boot, which is home
+    noise_m:     error of its estimated position, one sigma per axis
+    problems:    arming checks that fail for reasons of their own, as PX4 says them
+    breach:      what the fence says, for reasons of its own
     """
 
     def __init__(
@@ -51,6 +57,7 @@ class Autopilot:
         start_ned_m: Vector3,
         make_wind: Callable[[], Wind],
         endurance_s: float,
+        noise_m: float,
         rng: random.Random,
     ) -> None:
         self.origin = origin
@@ -60,9 +67,13 @@ class Autopilot:
         self.missions = MissionStore()
         self._start_ned_m = start_ned_m
         self._make_wind = make_wind
+        self._noise_m = noise_m
         self._rng = rng
         self.texts: deque[tuple[int, str]] = deque(maxlen=20)
         self.has_gps = True
+        self.ignores_setpoints = False
+        self.problems: tuple[str, ...] = ()
+        self.breach: str | None = None
         self.battery_level = 1.0
         self.num_boots = 0
         self.reboot()
@@ -73,16 +84,19 @@ class Autopilot:
         self.time_s = 0.0
         self.num_boots += 1
         self.body = Quadrotor(self._start_ned_m, 0.0, self._make_wind())
-        self.estimate = Estimator(self.body, self._rng)
+        self.estimate = Estimator(self.body, self._rng, self._noise_m)
         self.commander = Commander(self.parameters, self.say)
-        self.navigator = Navigator(self.parameters, self.estimate)
+        self.navigator = Navigator(self.parameters, self.estimate, self.origin.altitude_m, self.say)
+        self.fence = Geofence(self.parameters, self.missions, self.map, self.say)
+        self._breach: str | None = None
         self._control = PositionController(self.parameters)
-        self._entered = self.commander.mode
+        self._entered: Px4Mode | None = None
         self._offboard = TrajectorySetpoint()
         self._offboard_at_s = -math.inf
         self.setpoint = TrajectorySetpoint()
         self.is_landed = True
         self.has_home = False
+        self._is_home_manual = False
         self._down_since_s = 0.0
         self._flying_since_s = 0.0
         self._yaw_rad = 0.0
@@ -93,14 +107,9 @@ class Autopilot:
         self.texts.append((severity, text))
 
     @property
-    def has_position(self) -> bool:
-        """Whether the estimator has initialised."""
-        return self.time_s >= _POSITION_AFTER_S
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether the arming checks pass."""
-        return self.time_s >= _READY_AFTER_S and self.estimate.gps_lost_s == 0.0
+    def has_origin(self) -> bool:
+        """Whether the estimator has initialised, so that there is a position, if a bad one."""
+        return self.time_s >= READY_AFTER_S
 
     @property
     def is_setpoint_late(self) -> bool:
@@ -109,11 +118,18 @@ class Autopilot:
         return is_flying_it and self._setpoint_age_s > _SETPOINT_LATE_S
 
     @property
+    def _is_offboard_alive(self) -> bool:
+        is_recent = self._setpoint_age_s <= self.parameters["COM_OF_LOSS_T"]
+        return is_recent and self.estimate.has_position
+
+    @property
     def _setpoint_age_s(self) -> float:
         return self.time_s - self._offboard_at_s
 
     def take_offboard(self, setpoint: TrajectorySetpoint) -> None:
         """Take a setpoint from outside; it counts as a sign of life of its sender."""
+        if self.ignores_setpoints:
+            return
         self._offboard = setpoint
         self._offboard_at_s = self.time_s
 
@@ -129,29 +145,45 @@ class Autopilot:
         if not self.commander.arm():
             return False
         if not was_armed:
-            self.set_home(self.estimate.position)
+            self.set_home_here()
         return True
 
     def set_home(self, position: list[float]) -> None:
-        """Make a place of the local frame home."""
+        """Make a place of the local frame home, for good."""
         self.navigator.home = (position[0], position[1], position[2])
-        self.has_home = True
+        self.has_home = self._is_home_manual = True
+
+    def set_home_here(self, *, is_forced: bool = False) -> None:
+        """Make the present place home, unless one was set that is to stay."""
+        if is_forced or not self._is_home_manual:
+            self.set_home(self.estimate.position)
+            self._is_home_manual = False
+
+    def jump(self, distance_m: float) -> None:
+        """Have the estimated position jump."""
+        self.estimate.jump(distance_m)
+        self.estimate.step(0.0, has_gps=self.has_gps)
+        self.navigator.follow_reset()
 
     def reposition(self, target: Vector3, yaw_rad: float, speed_m_s: float) -> bool:
-        """Hold at another place. -> whether hold may fly."""
+        """Hold at another place, or here if the fence is in the way. -> whether hold may fly."""
         if not self.request_mode(Px4Mode.LOITER):
             return False
         self._update_commander()
-        self.navigator.hold_at(target, yaw_rad, speed_m_s)
+        if self.fence.refuses(target, self._home):
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Reposition is outside geofence\t")
+        else:
+            self.navigator.hold_at(target, yaw_rad, speed_m_s)
         return True
 
     def step(self) -> None:
         """One step of the vehicle's time."""
         self._num_steps += 1
         self.time_s = self._num_steps * STEP_S
-        if self.is_ready and not self.has_home:
-            self.set_home(self.estimate.position)
-            self.say(mavlink.MAV_SEVERITY_INFO, "Ready for takeoff!")
+        self._update_home()
+        if self._num_steps % _FENCE_INTERVAL_STEPS == 0:
+            self.fence.load(self._home, None if self.is_landed else self.estimate.position)
+            self._breach = self.fence.breach(self.estimate.position, self._home)
         self._update_commander()
         self._finish_takeoff()
         self._fly()
@@ -160,21 +192,45 @@ class Autopilot:
         if not self.is_landed:
             self.battery_level = max(0.0, self.battery_level - STEP_S / self.endurance_s)
 
+    @property
+    def _home(self) -> Vector3 | None:
+        return self.navigator.home if self.has_home else None
+
+    def _update_home(self) -> None:
+        """Home moves along while the vehicle is disarmed on the ground, as where it has landed."""
+        at, home = self.estimate.position, self.navigator.home
+        if self.commander.is_armed or not self.is_landed or not self.estimate.has_position:
+            return
+        moved = math.dist(at[:2], home[:2]) > _HOME_MOVES_M or at[2] - home[2] > _HOME_RISES_M
+        if self.time_s >= _READY_AFTER_S and (moved or not self.has_home):
+            self.set_home_here()
+
+    def _problems(self) -> tuple[str, ...]:
+        """Arming checks that fail. Without a position no mode that needs one can be armed in."""
+        if self.time_s < _READY_AFTER_S:
+            return ("Preflight Fail: ekf2 missing data",)
+        if self.estimate.gps_lost_s > 0.0 and self.parameters["COM_ARM_WO_GPS"] == 0:
+            return ("Preflight Fail: GPS fix too low", *self.problems)
+        return self.problems
+
     def _update_commander(self) -> None:
         self.commander.update(
             CommanderInputs(
                 time_s=self.time_s,
                 is_landed=self.is_landed,
-                is_ready=self.is_ready,
-                is_offboard_alive=self._setpoint_age_s <= self.parameters["COM_OF_LOSS_T"],
+                problems=self._problems(),
+                has_position=self.estimate.has_position,
+                is_offboard_alive=self._is_offboard_alive,
                 battery_level=self.battery_level,
-                gps_lost_s=self.estimate.gps_lost_s,
+                breach=self.breach or self._breach,
             )
         )
-        if self.commander.mode is not self._entered:
-            self._entered = self.commander.mode
+        flown = self.commander.mode if self.commander.is_armed else None
+        if flown is not self._entered:
+            self._entered = flown
             self._yaw_rad = self.estimate.yaw
-            self.navigator.enter(self._entered)
+            if flown is not None:
+                self.navigator.enter(flown)
 
     def _finish_takeoff(self) -> None:
         if self._entered is not Px4Mode.TAKEOFF or self.is_landed:
@@ -197,7 +253,8 @@ class Autopilot:
         if mode is Px4Mode.OFFBOARD:
             self.setpoint = self._offboard
         else:
-            self.setpoint = self.navigator.setpoint(mode, STEP_S)
+            has_position = self.estimate.has_position
+            self.setpoint = self.navigator.setpoint(mode, STEP_S, has_position=has_position)
         self._steer_yaw()
         thrust = self._control.thrust(
             self.setpoint,
@@ -220,8 +277,8 @@ class Autopilot:
             return False
         self.is_landed = False
         self._flying_since_s = self._down_since_s = self.time_s
-        self.navigator.enter(mode)
-        self.say(mavlink.MAV_SEVERITY_INFO, "Takeoff detected")
+        self.set_home_here()
+        self.navigator.follow_reset()
         return True
 
     def _wants_climb(self) -> bool:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from types import MappingProxyType
 from typing import Self
 
 import cv2
+import numpy as np
 
 from dronemon.types import CameraModel, ImageArray
 from sim.renderer import Renderer
@@ -21,6 +23,7 @@ JPEG_QUALITY = 95
 MAX_CLIENTS = 8
 SEND_TIMEOUT_S = 5.0
 STOP_TIMEOUT_S = 5.0
+_LATE_CHECK_S = 0.005
 
 
 class CameraServer:
@@ -28,6 +31,8 @@ class CameraServer:
 
     A client sends REQUEST and gets ANSWER and a JPEG. `silent` leaves requests unanswered, as a
     camera does that hangs.
+
+    faults: kinds that are active now -> value
     """
 
     def __init__(
@@ -36,12 +41,15 @@ class CameraServer:
         seed: int,
         scene: Callable[[], Scene],
         on_capture: Callable[[Scene], None],
+        faults: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         self.silent = False
         self._camera = camera
         self._seed = seed
         self._scene = scene
         self._on_capture = on_capture
+        self._faults = faults
+        self._last: bytes | None = None
         self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
     async def __aenter__(self) -> Self:
@@ -82,19 +90,33 @@ class CameraServer:
     async def _answer_requests(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        loop = asyncio.get_running_loop()
         while await reader.readexactly(len(REQUEST)) == REQUEST:
-            if self.silent:
+            if self.silent or "camera" in self._faults:
                 continue
-            scene = self._scene()
-            self._on_capture(scene)
-            jpeg = await loop.run_in_executor(self._thread, self._photograph, scene)
-            writer.write(ANSWER.pack(REQUEST, scene.time_s, len(jpeg)) + jpeg)
+            if self._last is None or "repeat" not in self._faults:
+                self._last = await self._capture()
+            writer.write(self._last)
             async with asyncio.timeout(SEND_TIMEOUT_S):
                 await writer.drain()
 
+    async def _capture(self) -> bytes:
+        """Answer with a new picture."""
+        scene = self._scene()
+        self._on_capture(scene)
+        loop = asyncio.get_running_loop()
+        jpeg = await loop.run_in_executor(self._thread, self._photograph, scene)
+        if "torn" in self._faults:
+            jpeg = jpeg[: len(jpeg) // 2]
+        due_s = scene.time_s + self._faults.get("late", 0.0)
+        # Vehicle time is nobody's event; a reboot sets it back.
+        while scene.time_s <= self._scene().time_s < due_s:  # noqa: ASYNC110
+            await asyncio.sleep(_LATE_CHECK_S)
+        time_s = scene.time_s + self._faults.get("misdate", 0.0)
+        return ANSWER.pack(REQUEST, time_s, len(jpeg)) + jpeg
+
     def _photograph(self, scene: Scene) -> bytes:
-        return encode(self._renderer.render(scene))
+        image = self._renderer.render(scene)
+        return encode(np.zeros_like(image) if "blank" in self._faults else image)
 
 
 def encode(image: ImageArray) -> bytes:

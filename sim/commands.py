@@ -79,10 +79,28 @@ def _arm_or_disarm(autopilot: Autopilot, params: tuple[float, ...]) -> int:
 
 
 def _take_off(autopilot: Autopilot, params: tuple[float, ...]) -> int:
+    """Take off to a height above sea level, or to the default height above the present one."""
     result = _mode(autopilot, Px4Mode.TAKEOFF)
-    if result == ACCEPTED and not math.isnan(params[6]):
+    if result == ACCEPTED:
         autopilot.navigator.takeoff_down_m = autopilot.origin.altitude_m - params[6]
     return result
+
+
+def _land(autopilot: Autopilot, _: tuple[float, ...]) -> int:
+    autopilot.say(mavlink.MAV_SEVERITY_INFO, "Landing at current position\t")
+    return _mode(autopilot, Px4Mode.LAND)
+
+
+def _return(autopilot: Autopilot, _: tuple[float, ...]) -> int:
+    result = _mode(autopilot, Px4Mode.RTL)
+    if result == ACCEPTED:
+        autopilot.say(mavlink.MAV_SEVERITY_INFO, "Returning to launch\t")
+    return result
+
+
+def _run_checks(autopilot: Autopilot, _: tuple[float, ...]) -> int:
+    autopilot.commander.report_problems()
+    return ACCEPTED
 
 
 def _reposition(autopilot: Autopilot, params: tuple[float, ...]) -> int:
@@ -96,10 +114,10 @@ def _reposition(autopilot: Autopilot, params: tuple[float, ...]) -> int:
 
 
 def _set_home(autopilot: Autopilot, params: tuple[float, ...]) -> int:
-    if not autopilot.has_position:
+    if not autopilot.has_origin:
         return REJECTED
     if params[0] == 1.0:
-        autopilot.set_home(autopilot.estimate.position)
+        autopilot.set_home_here(is_forced=True)
         return ACCEPTED
     if any(math.isnan(v) for v in params[4:]):
         return DENIED
@@ -127,13 +145,14 @@ _HANDLERS: dict[int, Callable[[Autopilot, tuple[float, ...]], int]] = {
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
     mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
-    mavlink.MAV_CMD_NAV_LAND: lambda autopilot, _: _mode(autopilot, Px4Mode.LAND),
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda autopilot, _: _mode(autopilot, Px4Mode.RTL),
+    mavlink.MAV_CMD_NAV_LAND: _land,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
     mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda autopilot, _: _mode(autopilot, Px4Mode.LOITER),
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
     mavlink.MAV_CMD_DO_SET_HOME: _set_home,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_checks,
 }
 
 

@@ -1,8 +1,7 @@
 """What the autopilot believes about its motion: the truth plus a slowly wandering error.
 
-The error is 0.15 m (one sigma) per axis, half of PX4's in SITL, and 0.15 degrees of tilt; seen from
-35 m, they move a point on the ground by 0.2 m. Without GPS the horizontal position drifts
-away by up to 16 m.
+Besides the position's error, which the mission sets, there are 0.15 degrees (one sigma) of tilt.
+Without GPS the horizontal position drifts away by up to 16 m.
 """
 
 from __future__ import annotations
@@ -12,7 +11,11 @@ import random
 
 from sim.dynamics import Quadrotor
 
-_POSITION_SIGMA_M = 0.15
+READY_AFTER_S = 3.0
+"""From boot to the first position."""
+GPS_LOSS_TOLERATED_S = 5.4
+"""How long the position counts as valid without GPS."""
+_TRUSTED_AGAIN_S = 2.0
 _TILT_SIGMA_RAD = math.radians(0.15)
 _WANDER_RAD_S = 0.1
 _DRIFT_M_S = 0.8
@@ -36,30 +39,48 @@ class _Wander:
 
 
 class Estimator:
-    """Position, velocity and attitude as telemetry reports them and the control uses them."""
+    """Position, velocity and attitude as telemetry reports them and the control uses them.
 
-    def __init__(self, body: Quadrotor, rng: random.Random) -> None:
+    gps_lost_s:   how long GPS has been away; 0 while it is there
+    has_position: whether the horizontal position is valid
+    num_resets:   jumps of the position since boot
+    """
+
+    def __init__(self, body: Quadrotor, rng: random.Random, noise_m: float) -> None:
         self._body = body
-        self._errors = [_Wander(_POSITION_SIGMA_M, rng) for _ in range(3)]
+        self._errors = [_Wander(noise_m, rng) for _ in range(3)]
         self._tilt_errors = [_Wander(_TILT_SIGMA_RAD, rng) for _ in range(2)]
         self._drift_heading_rad = rng.uniform(-math.pi, math.pi)
         self._drift_m = 0.0
+        self._jump_m = 0.0
+        self._age_s = 0.0
+        self._distrusted_until_s = READY_AFTER_S
         self.gps_lost_s = 0.0
-        """How long GPS has been away; 0 while it is there."""
+        self.num_resets = 0
         self.position = [0.0, 0.0, 0.0]
         self.velocity = [0.0, 0.0, 0.0]
         self.roll = self.pitch = self.yaw = 0.0
         self.step(0.0, has_gps=True)
 
+    @property
+    def has_position(self) -> bool:
+        """Whether the horizontal position is valid; after a loss it is on probation."""
+        return self._age_s >= self._distrusted_until_s
+
+    def jump(self, distance_m: float) -> None:
+        """Be off by this distance from now on, as when the GPS receiver's position jumps."""
+        self._jump_m = distance_m
+        self.num_resets += 1
+
     def step(self, dt_s: float, *, has_gps: bool) -> None:
         """Estimate the body's new motion."""
+        self._age_s += dt_s
         drift_rate = self._step_drift(dt_s, has_gps=has_gps)
         toward = (math.cos(self._drift_heading_rad), math.sin(self._drift_heading_rad), 0.0)
         for axis, error in enumerate(self._errors):
             error.step(dt_s)
-            self.position[axis] = (
-                self._body.position[axis] + error.value + self._drift_m * toward[axis]
-            )
+            away_m = (self._drift_m + self._jump_m) * toward[axis]
+            self.position[axis] = self._body.position[axis] + error.value + away_m
             self.velocity[axis] = self._body.velocity[axis] + error.rate + drift_rate * toward[axis]
         for error in self._tilt_errors:
             error.step(dt_s)
@@ -74,6 +95,8 @@ class Estimator:
             self._drift_m *= math.exp(-dt_s / _RECOVERY_TIME_S)
             return 0.0
         self.gps_lost_s += dt_s
+        if self.gps_lost_s >= GPS_LOSS_TOLERATED_S:
+            self._distrusted_until_s = self._age_s + _TRUSTED_AGAIN_S
         if self._drift_m >= _DRIFT_MAX_M:
             return 0.0
         self._drift_m += _DRIFT_M_S * dt_s

@@ -13,19 +13,22 @@ import numpy as np
 
 from dronemon.frames import AreaFrame, GeoPoint, ned_to_geo
 from dronemon.mission import Mission
+from dronemon.mission.faults import Fault
 from dronemon.types import Vector3
 from dronemon.world.instance import named_stream
 from sim.autopilot import STEP_S, Autopilot
-from sim.camera import CameraServer
 from sim.dynamics import Wind
-from sim.faults import LASTING, Fault, FaultSchedule
+from sim.faults import FaultSchedule, mission_faults, parse_vehicle_fault
 from sim.link import MavlinkLink
+from sim.modes import Px4Mode
 from sim.scene import Scene
 from sim.world import World, home_place
 
 _LOG = logging.getLogger("sim")
 HOME_NED_M: Vector3 = (-23.0, 31.0, -3.2)
 """Home in the local frame: the estimator's origin is elsewhere, so that confusing them shows."""
+_PROBLEM = "Preflight Fail: Compass Sensor 0 missing"
+_BREACH = "Geofence: approaching or outside geofence"
 _PAUSE_S = 0.004
 _BURST_MAX_S = 0.2
 """Vehicle time simulated at once; a computer that stalls longer slows the simulation down."""
@@ -37,7 +40,11 @@ def _stream(mission: Mission, name: str) -> random.Random:
 
 
 class MockFlight:
-    """A mission's mock vehicle in its world."""
+    """A mission's mock vehicle in its world.
+
+    faults:        all there are, the mission's included
+    active_faults: kinds that are active now -> value
+    """
 
     def __init__(self, mission: Mission, world: World, faults: tuple[Fault, ...] = ()) -> None:
         simulation = mission.simulation
@@ -50,28 +57,42 @@ class MockFlight:
             start_ned_m=HOME_NED_M,
             make_wind=lambda: Wind(simulation.wind_m_s, wind_from_rad, wind_rng),
             endurance_s=mission.flight.endurance_min * 60.0,
+            noise_m=simulation.position_noise_m,
             rng=_stream(mission, "estimate"),
         )
         self._world = world
         self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
         self._links: list[MavlinkLink] = []
+        self._line_rng = _stream(mission, "line")
         self._time_s = 0.0
         self._armed_at_s: float | None = None
-        self.camera: CameraServer | None = None
-        self._active_faults: set[str] = set()
-        autopilot = self.autopilot
-        self._faults = FaultSchedule(
-            faults,
-            switches={kind: partial(self._switch, kind) for kind in LASTING},
-            events={
-                "pilot": lambda _: autopilot.commander.take_over(),
-                "battery": lambda level: setattr(autopilot, "battery_level", level or 0.0),
-                "reboot": lambda _: autopilot.reboot(),
-            },
-        )
+        self.active_faults: dict[str, float] = {}
+        listed = mission_faults(mission, parse_vehicle_fault)
+        self.faults = FaultSchedule((*listed, *faults), self._switch)
 
-    def _switch(self, fault: str, is_on: bool) -> None:
-        (self._active_faults.add if is_on else self._active_faults.discard)(fault)
+    def _switch(self, kind: str, value: float | None) -> None:
+        """Begin a fault, or end it where the value is None."""
+        autopilot, is_on = self.autopilot, value is not None
+        if value is None:
+            self.active_faults.pop(kind, None)
+        else:
+            self.active_faults[kind] = value
+        if kind.isupper() and value is not None:
+            autopilot.parameters.set(kind, value)
+        elif kind == "pilot" and is_on:
+            autopilot.commander.take_over()
+        elif kind == "pilot":
+            autopilot.request_mode(Px4Mode.OFFBOARD)
+        elif kind == "battery" and value is not None:
+            autopilot.battery_level = value
+        elif kind == "jump":
+            autopilot.jump(value or 0.0)
+        elif kind == "reboot":
+            autopilot.reboot()
+        autopilot.has_gps = "gps" not in self.active_faults
+        autopilot.ignores_setpoints = "ignore" in self.active_faults
+        autopilot.problems = (_PROBLEM,) if "unarmable" in self.active_faults else ()
+        autopilot.breach = _BREACH if "fence" in self.active_faults else None
 
     def scene(self) -> Scene:
         """What there is to see at this instant."""
@@ -82,7 +103,8 @@ class MockFlight:
         """Stream to these addresses from now on."""
         loop = asyncio.get_running_loop()
         for remote in remotes:
-            link = partial(MavlinkLink, self.autopilot, remote, self._active_faults)
+            faults, rng = self.active_faults, self._line_rng
+            link = partial(MavlinkLink, self.autopilot, remote, faults, rng)
             endpoint = await loop.create_datagram_endpoint(link, local_addr=("127.0.0.1", 0))
             self._links.append(endpoint[1])
 
@@ -98,11 +120,7 @@ class MockFlight:
         autopilot.step()
         if self._armed_at_s is None and autopilot.commander.is_armed:
             self._armed_at_s = self._time_s
-        if self._armed_at_s is not None:
-            self._faults.advance(self._time_s - self._armed_at_s)
-        autopilot.has_gps = "gps" not in self._active_faults
-        if self.camera is not None:
-            self.camera.silent = "camera" in self._active_faults
+        self.faults.advance(self._time_s, self._armed_at_s)
         texts = list(autopilot.texts)
         autopilot.texts.clear()
         for link in self._links:

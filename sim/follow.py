@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Iterable
 from typing import Any, Self
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.frames import GeoPoint
+from dronemon.mission.faults import Fault
 from dronemon.types import Pose, Vector3
 from sim.camera import CameraServer
+from sim.faults import FaultSchedule
 from sim.scene import Scene
 from sim.world import World
 
@@ -37,9 +40,15 @@ _WISHES = (  # command, confirmation, first and second parameter; intervals in m
 
 
 class Follower(asyncio.DatagramProtocol):
-    """Hears a vehicle at `address` and shows the world as it sees it; an async context manager."""
+    """Hears a vehicle at `address` and shows the world as it sees it; an async context manager.
 
-    def __init__(self, world: World, address: tuple[str, int]) -> None:
+    faults:        of the camera
+    active_faults: kinds that are active now -> value
+    """
+
+    def __init__(
+        self, world: World, address: tuple[str, int], faults: Iterable[Fault] = ()
+    ) -> None:
         self._world = world
         self._address = address
         self._mav = mavlink.MAVLink(None, _SYSTEM_ID, mavlink.MAV_COMP_ID_MISSIONPLANNER)
@@ -48,6 +57,9 @@ class Follower(asyncio.DatagramProtocol):
         self._vehicle_address: tuple[str, int] | None = None
         self._time_s = -math.inf
         self._is_armed = False
+        self._armed_at_s: float | None = None
+        self.active_faults: dict[str, float] = {}
+        self.faults = FaultSchedule(faults, self._switch)
         self._camera: CameraServer | None = None
         self._attitude: Any = None
         self._position: Any = None
@@ -100,8 +112,17 @@ class Follower(asyncio.DatagramProtocol):
         """Take what the vehicle sends (asyncio's callback)."""
         for message in self._mav.parse_buffer(data) or ():
             self._hear(message, addr)
+        if self._armed_at_s is None and self._is_armed:
+            self._armed_at_s = self._time_s
+        self.faults.advance(self._time_s, self._armed_at_s)
         if self._camera is not None:
             self._camera.silent = not self.is_ready
+
+    def _switch(self, kind: str, value: float | None) -> None:
+        if value is None:
+            self.active_faults.pop(kind, None)
+        else:
+            self.active_faults[kind] = value
 
     def _hear(self, message: Any, address: tuple[str, int]) -> None:
         kind = message.get_type()

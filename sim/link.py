@@ -7,9 +7,10 @@ everyone who writes to it may command.
 from __future__ import annotations
 
 import asyncio
+import random
 import time
 from collections import deque
-from collections.abc import Set
+from collections.abc import Mapping
 from typing import Any, cast
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -26,6 +27,7 @@ from sim.commands import (
     setpoint_from_local,
     whole,
 )
+from sim.line import FaultyLine
 from sim.mission_protocol import MissionProtocol
 from sim.parameters import INDEX, TABLE
 from sim.streams import STREAMS, Builder
@@ -49,14 +51,22 @@ class _Stream:
 class MavlinkLink(asyncio.DatagramProtocol):
     """One UDP link to `remote`.
 
-    faults: kinds that are active now
+    faults: kinds that are active now -> value
+    rng:    by which faults of the line happen
     """
 
-    def __init__(self, autopilot: Autopilot, remote: tuple[str, int], faults: Set[str]) -> None:
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        remote: tuple[str, int],
+        faults: Mapping[str, float],
+        rng: random.Random,
+    ) -> None:
         self._autopilot = autopilot
         self._remote = remote
         self._faults = faults
-        self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._inward, self._outward = FaultyLine(faults, rng), FaultyLine(faults, rng)
+        self._mav = mavlink.MAVLink(None, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._mav.robust_parsing = True
         self._gcs_heard_s = -_GCS_TIMEOUT_S
         self._buffer = bytearray()
@@ -69,11 +79,17 @@ class MavlinkLink(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """Handle what was sent to the vehicle (asyncio's callback)."""
-        if "deaf" in self._faults or self._autopilot.time_s < BOOT_S:
-            return
-        for message in self._mav.parse_buffer(data) or ():
-            self._receive(message)
-        self.flush()
+        if data:
+            self._inward.put(data, self._autopilot.time_s)
+            self._hear()
+            self.flush()
+
+    def _hear(self) -> None:
+        for data in self._inward.take(self._autopilot.time_s):
+            if "deaf" in self._faults or self._autopilot.time_s < BOOT_S:
+                continue
+            for message in self._mav.parse_buffer(data) or ():
+                self._receive(message)
 
     def close(self) -> None:
         """Close the socket."""
@@ -85,6 +101,8 @@ class MavlinkLink(asyncio.DatagramProtocol):
         now_s = self._autopilot.time_s
         if self._boots != self._autopilot.num_boots:
             self._restart()
+        self._hear()
+        self._deliver()
         if now_s < BOOT_S:
             return
         while self._pending:
@@ -102,13 +120,21 @@ class MavlinkLink(asyncio.DatagramProtocol):
 
     def flush(self) -> None:
         """Hand what was sent to the network."""
-        if self._buffer and self._transport is not None and "silence" not in self._faults:
-            self._transport.sendto(bytes(self._buffer), self._remote)
+        if self._buffer and "silence" not in self._faults:
+            self._outward.put(bytes(self._buffer), self._autopilot.time_s)
         self._buffer.clear()
+        self._deliver()
+
+    def _deliver(self) -> None:
+        for data in self._outward.take(self._autopilot.time_s):
+            if self._transport is not None:
+                self._transport.sendto(data, self._remote)
 
     def _restart(self) -> None:
         """Begin with the default rates and nothing under way, as after a reboot."""
         self._boots = self._autopilot.num_boots
+        self._inward.clear()
+        self._outward.clear()
         self._streams = {number: _Stream(*spec) for number, spec in STREAMS.items()}
         self._missions = MissionProtocol(self._autopilot.missions)
         self._pending: deque[Any] = deque()
@@ -118,6 +144,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
     def _send(self, message: Any) -> None:
         if message is None:
             return
+        self._mav.srcSystem = self._system_id
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         if len(self._buffer) + len(packet) > _DATAGRAM_BYTES:
@@ -131,10 +158,14 @@ class MavlinkLink(asyncio.DatagramProtocol):
             self._send(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, sequence))
         self._text_id = (self._text_id + 1) % 2**16
 
+    @property
+    def _system_id(self) -> int:
+        return int(self._autopilot.parameters["MAV_SYS_ID"])
+
     def _receive(self, message: Any) -> None:
-        if getattr(message, "target_system", 0) not in (0, 1):
+        if getattr(message, "target_system", 0) not in (0, self._system_id):
             return
-        if getattr(message, "target_component", 0) not in (0, 1):
+        if getattr(message, "target_component", 0) not in (0, mavlink.MAV_COMP_ID_AUTOPILOT1):
             return
         kind = message.get_type()
         if kind in ("COMMAND_LONG", "COMMAND_INT"):

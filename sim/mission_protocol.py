@@ -1,6 +1,6 @@
 """Missions, fences and rally points as ground stations upload and read them back.
 
-They are stored, not flown.
+Missions and rally points are stored, not flown.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _TYPES = (
 
 
 class MissionStore:
-    """What is stored: the items of each mission type, and the mission's current item."""
+    """The items of each mission type, each upload a new list, and the mission's current item."""
 
     def __init__(self) -> None:
         self.items: dict[int, list[Any]] = {kind: [] for kind in _TYPES}
@@ -97,8 +97,7 @@ class MissionProtocol:
     def _clear(self, message: Any) -> list[Any]:
         self._upload = None
         if message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
-            for items in self._store.items.values():
-                items.clear()
+            self._store.items = {kind: [] for kind in _TYPES}
         elif message.mission_type in self._store.items:
             self._store.items[message.mission_type] = []
         else:

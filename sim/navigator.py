@@ -7,7 +7,10 @@ from dataclasses import replace
 from enum import Enum, auto
 from math import nan
 
+from pymavlink.dialects.v20 import common as mavlink
+
 from dronemon.types import Vector3
+from sim.commander import Say
 from sim.control import UNSET, TrajectorySetpoint
 from sim.estimator import Estimator
 from sim.modes import Px4Mode
@@ -15,24 +18,27 @@ from sim.parameters import Parameters
 from sim.trajectory import Limits, Trajectory, stopping_point
 
 _FAR_DOWN_M = 1000.0
-_AT_REST_M_S = 0.5
+_INFO: int = mavlink.MAV_SEVERITY_INFO
 
 
 class _Return(Enum):
-    """Stages of the return to launch."""
+    """Stages of the return to launch; RTL_LAND_DELAY is 0, so that it lands from its height."""
 
     CLIMB = auto()
     CRUISE = auto()
-    DESCEND = auto()
     LAND = auto()
 
 
 class Navigator:
     """Turns the flight mode into setpoints; OFFBOARD's come from outside."""
 
-    def __init__(self, parameters: Parameters, estimate: Estimator) -> None:
+    def __init__(
+        self, parameters: Parameters, estimate: Estimator, origin_amsl_m: float, say: Say
+    ) -> None:
         self._parameters = parameters
         self._estimate = estimate
+        self._origin_amsl_m = origin_amsl_m
+        self._say = say
         self._trajectory = Trajectory(estimate.position, estimate.velocity)
         self._target: Vector3 = (0.0, 0.0, 0.0)
         self._yaw_rad = 0.0
@@ -40,7 +46,7 @@ class Navigator:
         self._cruise_m_s: float | None = None
         self.home: Vector3 = (0.0, 0.0, 0.0)
         self.takeoff_down_m = nan
-        """Where the next take-off ends; NaN: MIS_TAKEOFF_ALT above home."""
+        """Where the next take-off ends; NaN: MIS_TAKEOFF_ALT above where it begins."""
 
     @property
     def is_landing(self) -> bool:
@@ -64,6 +70,13 @@ class Navigator:
         elif mode is Px4Mode.RTL:
             self._return = _Return.CLIMB
             self._target = (*self._target[:2], self._return_down())
+            amsl_m = math.ceil(self._origin_amsl_m - self._target[2])
+            above_m = math.ceil(self.home[2] - self._target[2])
+            self._say(_INFO, f"RTL: start return at {amsl_m} m ({above_m} m above destination)\t")
+
+    def follow_reset(self) -> None:
+        """Go on from where the estimate has jumped to."""
+        self._trajectory = Trajectory(self._estimate.position, self._estimate.velocity)
 
     def hold_at(self, target: Vector3, yaw_rad: float, speed_m_s: float) -> None:
         """Fly to a place and hold there; NaN leaves height, yaw or speed as they are."""
@@ -76,18 +89,21 @@ class Navigator:
         """Fly at another speed until the mode changes."""
         self._cruise_m_s = speed_m_s
 
-    def setpoint(self, mode: Px4Mode, dt_s: float) -> TrajectorySetpoint:
-        """What to fly in a mode other than OFFBOARD."""
-        if mode is Px4Mode.ALTCTL:
-            free = (nan, nan, self._target[2])
-            return TrajectorySetpoint(
-                position=free, acceleration=(0.0, 0.0, nan), yaw_rad=self._yaw_rad
-            )
+    def setpoint(self, mode: Px4Mode, dt_s: float, *, has_position: bool) -> TrajectorySetpoint:
+        """What to fly in a mode other than OFFBOARD; without a position it drifts, held level."""
+        if mode in (Px4Mode.ALTCTL, Px4Mode.MANUAL):
+            return replace(self._level(), position=(nan, nan, self._target[2]))
         if mode is Px4Mode.RTL:
             self._advance_return()
         if mode is Px4Mode.LAND or (mode is Px4Mode.RTL and self._return is _Return.LAND):
-            return self._landing_setpoint(dt_s)
+            landing = self._landing_setpoint(dt_s)
+            if has_position:
+                return landing
+            return replace(self._level(), velocity=(nan, nan, landing.velocity[2]))
         return self._moving_setpoint(self._limits(in_takeoff=mode is Px4Mode.TAKEOFF), dt_s)
+
+    def _level(self) -> TrajectorySetpoint:
+        return TrajectorySetpoint(acceleration=(0.0, 0.0, nan), yaw_rad=self._yaw_rad)
 
     @property
     def is_takeoff_complete(self) -> bool:
@@ -99,7 +115,11 @@ class Navigator:
         north, east, down = self._estimate.position
         wanted = self.takeoff_down_m
         if math.isnan(wanted):
-            wanted = self.home[2] - self._parameters["MIS_TAKEOFF_ALT"]
+            height_m = self._parameters["MIS_TAKEOFF_ALT"]
+            wanted = down - height_m
+            self._say(_INFO, f"Using default takeoff altitude: {height_m:.1f} m\t")
+        elif wanted > down:
+            self._say(mavlink.MAV_SEVERITY_CRITICAL, "Already higher than takeoff altitude\t")
         return (north, east, min(wanted, down))
 
     def _moving_setpoint(self, limits: Limits, dt_s: float) -> TrajectorySetpoint:
@@ -128,29 +148,27 @@ class Navigator:
         at = self._estimate.position
         distance = math.hypot(target[0] - at[0], target[1] - at[1])
         height_error = abs(target[2] - at[2])
-        speed = math.hypot(self._estimate.velocity[0], self._estimate.velocity[1])
         if self._return is _Return.CLIMB and height_error < p["NAV_MC_ALT_RAD"]:
             self._return = _Return.CRUISE
             self._target = (self.home[0], self.home[1], target[2])
             if math.hypot(self.home[0] - at[0], self.home[1] - at[1]) > p["NAV_ACC_RAD"]:
                 self._yaw_rad = self._bearing(self.home)
         elif self._return is _Return.CRUISE and distance < p["NAV_ACC_RAD"]:
-            self._return = _Return.DESCEND
-            descend = self.home[2] - p["RTL_DESCEND_ALT"]
-            self._target = (self.home[0], self.home[1], max(target[2], descend))
-        elif (
-            self._return is _Return.DESCEND
-            and height_error < p["NAV_MC_ALT_RAD"]
-            and speed < _AT_REST_M_S
-        ):
             self._return = _Return.LAND
+            self._say(_INFO, "RTL: land at destination\t")
 
     def _return_down(self) -> float:
-        """Down coordinate of the way home: RTL_RETURN_ALT, or where it is if higher or near."""
+        """Down coordinate of the way home: RTL_RETURN_ALT, less within a cone, or where it is."""
         p, at = self._parameters, self._estimate.position
-        if math.hypot(self.home[0] - at[0], self.home[1] - at[1]) < p["RTL_MIN_DIST"]:
-            return at[2]
-        return min(at[2], self.home[2] - p["RTL_RETURN_ALT"])
+        away_m = math.hypot(self.home[0] - at[0], self.home[1] - at[1])
+        height_m = p["RTL_RETURN_ALT"]
+        half_angle_deg = p["RTL_CONE_ANG"]
+        if half_angle_deg > 0 and away_m <= p["NAV_ACC_RAD"]:
+            height_m = min(2.0 * away_m, height_m)
+        elif half_angle_deg > 0 and away_m <= p["RTL_MIN_DIST"]:
+            cone_m = away_m / math.tan(math.radians(min(half_angle_deg, 89.0)))
+            height_m = min(max(cone_m, 2.0 * p["NAV_ACC_RAD"]), height_m)
+        return min(at[2], self.home[2] - height_m)
 
     def _bearing(self, to: Vector3) -> float:
         at = self._estimate.position

@@ -14,7 +14,6 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.types import Vector3
 from sim.autopilot import Autopilot
-from sim.commander import GPS_LOSS_TOLERATED_S, Charge
 from sim.dynamics import GRAVITY_M_S2
 from sim.modes import Px4Mode
 
@@ -82,7 +81,7 @@ def _heartbeat(autopilot: Autopilot) -> Any:
 def _sys_status(autopilot: Autopilot) -> Any:
     prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
     health = _SENSORS if autopilot.has_gps else _SENSORS & ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
-    if autopilot.is_ready and autopilot.commander.charge < Charge.CRITICAL:
+    if autopilot.commander.can_arm:
         health |= prearm
     present = _SENSORS | prearm
     return mavlink.MAVLink_sys_status_message(
@@ -119,7 +118,7 @@ def _extended_sys_state(autopilot: Autopilot) -> Any:
 
 
 def _local_position_ned(autopilot: Autopilot) -> Any:
-    if not autopilot.has_position:
+    if not autopilot.has_origin:
         return None
     estimate = autopilot.estimate
     return mavlink.MAVLink_local_position_ned_message(
@@ -158,12 +157,33 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
     )
 
 
+def _odometry(autopilot: Autopilot) -> Any:
+    """The estimate in the local frame, and how often it was reset."""
+    if not autopilot.has_origin:
+        return None
+    estimate, body = autopilot.estimate, autopilot.body
+    return mavlink.MAVLink_odometry_message(
+        _time_us(autopilot),
+        mavlink.MAV_FRAME_LOCAL_NED,
+        mavlink.MAV_FRAME_LOCAL_NED,
+        *estimate.position,
+        quaternion(estimate.roll, estimate.pitch, estimate.yaw),
+        *estimate.velocity,
+        *(body.roll_rate, body.pitch_rate, body.yaw_rate),
+        [math.nan] * 21,
+        [math.nan] * 21,
+        estimate.num_resets % 256,
+        mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        0,
+    )
+
+
 def _heading_deg(autopilot: Autopilot) -> float:
     return math.degrees(autopilot.estimate.yaw) % 360.0
 
 
 def _global_position_int(autopilot: Autopilot) -> Any:
-    if not autopilot.has_position:
+    if not autopilot.has_origin:
         return None
     estimate = autopilot.estimate
     return mavlink.MAVLink_global_position_int_message(
@@ -192,7 +212,7 @@ def _gps_raw_int(autopilot: Autopilot) -> Any:
 
 
 def _altitude(autopilot: Autopilot) -> Any:
-    if not autopilot.has_position:
+    if not autopilot.has_origin:
         return None
     down = autopilot.estimate.position[2]
     amsl = autopilot.origin.altitude_m - down
@@ -262,26 +282,30 @@ def _home_position(autopilot: Autopilot) -> Any:
 
 
 def _gps_global_origin(autopilot: Autopilot) -> Any:
-    if not autopilot.has_position:
+    if not autopilot.has_origin:
         return None
     origin = _place(autopilot, (0.0, 0.0, 0.0))
     return mavlink.MAVLink_gps_global_origin_message(*origin, _time_us(autopilot))
 
 
 def _estimator_status(autopilot: Autopilot) -> Any:
+    """That GPS is gone shows at once; the position counts as good for a while longer."""
     flags = (
         mavlink.ESTIMATOR_ATTITUDE
-        | mavlink.ESTIMATOR_VELOCITY_HORIZ
         | mavlink.ESTIMATOR_VELOCITY_VERT
         | mavlink.ESTIMATOR_POS_VERT_ABS
     )
     lost_s = autopilot.estimate.gps_lost_s
-    if not autopilot.has_position or lost_s >= GPS_LOSS_TOLERATED_S:
+    if autopilot.estimate.has_position:
+        flags |= (
+            mavlink.ESTIMATOR_VELOCITY_HORIZ
+            | mavlink.ESTIMATOR_POS_HORIZ_REL
+            | mavlink.ESTIMATOR_POS_HORIZ_ABS
+        )
+    if lost_s == 0.0 and autopilot.has_origin:
+        flags |= mavlink.ESTIMATOR_PRED_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+    if autopilot.is_landed:
         flags |= mavlink.ESTIMATOR_CONST_POS_MODE
-    else:
-        flags |= mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
-        if lost_s == 0.0:
-            flags |= mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
     return mavlink.MAVLink_estimator_status_message(
         _time_us(autopilot), flags, 0.1, 0.1, 0.1, 0.1, 0.0, 0.0, 0.3 + lost_s, 0.4
     )
@@ -310,6 +334,7 @@ STREAMS: dict[int, tuple[Builder, float]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: (_heartbeat, 1.0),
     mavlink.MAVLINK_MSG_ID_ATTITUDE: (_attitude, 50.0),
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (_local_position_ned, 30.0),
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 30.0),
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (_attitude_quaternion, 25.0),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (_global_position_int, 10.0),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (_gps_raw_int, 8.0),

@@ -24,9 +24,10 @@ from dronemon.errors import (
     VehicleError,
 )
 from dronemon.frames import GeoPoint
+from dronemon.mission.faults import parse_fault
 from dronemon.types import Picture, Pose, Vector3
 from dronemon.vehicle import Landed, Mode, Setpoint, StatusText, VehicleState
-from sim.faults import FaultSchedule, parse_fault
+from sim.faults import FaultSchedule
 
 STEP_S = 0.02
 ORIGIN = GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0)
@@ -160,27 +161,25 @@ class FakeLink:
     def _schedule(self, faults: Sequence[str]) -> FaultSchedule:
         vehicle = self.vehicle
 
-        def lose_gps(is_lost: bool) -> None:
+        def lose_gps(is_lost: float | None) -> None:
             vehicle.has_gps = not is_lost
             vehicle.refused = {"return", "land"} if is_lost else set()
 
-        def reject(is_on: bool) -> None:
+        def reject(is_on: float | None) -> None:
             vehicle.refused = {"all"} if is_on else set()
 
+        switches: dict[str, Callable[[float | None], None]] = {
+            "silence": lambda is_on: setattr(self, "is_silent", bool(is_on)),
+            "deaf": lambda is_on: setattr(vehicle, "is_deaf", bool(is_on)),
+            "reject": reject,
+            "gps": lose_gps,
+            "camera": lambda is_on: setattr(self, "is_camera_silent", bool(is_on)),
+            "pilot": lambda is_on: vehicle.choose(Mode.POSITION if is_on else Mode.OFFBOARD),
+            "battery": lambda level: setattr(vehicle, "battery", level),
+            "reboot": lambda _: setattr(self, "_has_rebooted", True),
+        }
         return FaultSchedule(
-            tuple(parse_fault(fault) for fault in faults),
-            switches={
-                "silence": lambda is_on: setattr(self, "is_silent", is_on),
-                "deaf": lambda is_on: setattr(vehicle, "is_deaf", is_on),
-                "reject": reject,
-                "gps": lose_gps,
-                "camera": lambda is_on: setattr(self, "is_camera_silent", is_on),
-            },
-            events={
-                "pilot": lambda _: vehicle.choose(Mode.POSITION),
-                "battery": lambda level: setattr(vehicle, "battery", level),
-                "reboot": lambda _: setattr(self, "_has_rebooted", True),
-            },
+            [parse_fault(fault) for fault in faults], lambda kind, value: switches[kind](value)
         )
 
     async def __aenter__(self) -> FakeLink:
@@ -196,8 +195,7 @@ class FakeLink:
         vehicle.step()
         if vehicle.is_armed and self._armed_at_s is None:
             self._armed_at_s = vehicle.time_s
-        if self._armed_at_s is not None:
-            self._faults.advance(vehicle.time_s - self._armed_at_s)
+        self._faults.advance(vehicle.time_s, self._armed_at_s)
         if not self.is_silent:
             self._publish()
             self._changed.set()

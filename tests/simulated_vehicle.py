@@ -41,6 +41,12 @@ class MockVehicle:
         lines = self.truth.read_text(encoding="utf-8").splitlines()
         return [json.loads(line) for line in lines]
 
+    def begin_fault(self, text: str) -> None:
+        """Have something go wrong now, such as `gps+10`."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{text}\n".encode())
+        self.process.stdin.flush()
+
     def stop(self) -> int:
         """End it as a supervisor does. -> exit status."""
         self.process.send_signal(signal.SIGTERM)

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from dronemon.mission.addresses import mavlink_url_problem
+from dronemon.mission.faults import parse_fault
 from dronemon.problem import LENGTH_SCALE_AU, SENSOR_RADIUS_AU, TIME_SCALE_AU
 from dronemon.types import APPEARANCES, Appearance, CameraModel
 
@@ -255,6 +256,21 @@ class Simulation(Section):
     wind_from_deg: float = Field(
         270.0, ge=0.0, le=360.0, description="Where it comes from, clockwise from north."
     )
+    position_noise_m: float = Field(
+        0.15, ge=0.0, le=5.0, description="Error of the estimated position, one sigma per axis."
+    )
+    faults: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        (),
+        max_length=100,
+        description="Things to go wrong: KIND[=VALUE][@SECONDS after arming][+DURATION].",
+    )
+
+    @field_validator("faults")
+    @classmethod
+    def _are_faults(cls, texts: tuple[str, ...]) -> tuple[str, ...]:
+        for text in texts:
+            parse_fault(text)
+        return texts
 
 
 class View(Section):

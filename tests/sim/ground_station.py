@@ -9,7 +9,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.mission import Mission
-from sim.faults import Fault
+from dronemon.mission.faults import Fault
 from sim.flight import MockFlight
 
 FAULTLESS: tuple[Fault, ...] = ()

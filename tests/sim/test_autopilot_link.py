@@ -13,7 +13,7 @@ import pytest
 from ground_station import FAULTLESS, GroundStation, make_mission
 from pymavlink.dialects.v20 import common as mavlink
 
-from sim.faults import Fault, parse_fault
+from dronemon.mission.faults import Fault, parse_fault
 from sim.flight import HOME_NED_M, MockFlight
 from sim.modes import Px4Mode
 from sim.world import World

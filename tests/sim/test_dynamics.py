@@ -144,7 +144,7 @@ def test_stopping_point_is_where_the_trajectory_stops_without_turning_back() -> 
 
 def test_estimate_wanders_around_the_truth_by_its_sigma() -> None:
     body = Quadrotor((10.0, 20.0, -3.0), 0.0, calm())
-    estimate = Estimator(body, random.Random(10_002))
+    estimate = Estimator(body, random.Random(10_002), 0.15)
     errors = []
     for _ in range(400):
         for _ in range(100):  # 20 s later it is nearly independent
@@ -157,7 +157,7 @@ def test_estimate_wanders_around_the_truth_by_its_sigma() -> None:
 
 def test_estimate_drifts_without_gps_and_recovers() -> None:
     body = Quadrotor((0.0, 0.0, 0.0), 0.0, calm())
-    estimate = Estimator(body, random.Random(10_003))
+    estimate = Estimator(body, random.Random(10_003), 0.15)
     for _ in range(6000):
         estimate.step(STEP_S, has_gps=False)
     assert math.hypot(*estimate.position[:2]) == pytest.approx(16.0, abs=1.0)

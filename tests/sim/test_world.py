@@ -10,8 +10,9 @@ import pytest
 from ground_station import make_mission
 
 from dronemon.frames import GeoPoint, ned_to_geo
+from dronemon.mission.faults import Fault, parse_fault
 from dronemon.types import Pose
-from sim.faults import Fault, FaultSchedule, parse_fault
+from sim.faults import FaultSchedule, parse_camera_fault, parse_vehicle_fault
 from sim.flight import HOME_NED_M, MockFlight
 from sim.geodesy import LocalMap
 from sim.world import TruthFile, World
@@ -114,6 +115,10 @@ def test_truth_file_has_a_line_for_each_scene(tmp_path: Path) -> None:
         ("silence@60+10", Fault(kind="silence", at_s=60.0, duration_s=10.0)),
         ("gps@5.5", Fault(kind="gps", at_s=5.5)),
         ("battery=0.1@120", Fault(kind="battery", at_s=120.0, value=0.1)),
+        ("gps", Fault(kind="gps")),
+        ("pilot+3", Fault(kind="pilot", duration_s=3.0)),
+        ("misdate=-2@1", Fault(kind="misdate", at_s=1.0, value=-2.0)),
+        ("COM_DISARM_LAND=-1", Fault(kind="COM_DISARM_LAND", value=-1.0)),
     ],
 )
 def test_fault_is_read(text: str, fault: Fault) -> None:
@@ -122,23 +127,47 @@ def test_fault_is_read(text: str, fault: Fault) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "storm@3", "gps", "gps@", "gps@x", "gps=1@3", "battery@3", "battery=2@3", "pilot@3+1"],
+    [
+        *("", "storm@3", "gps@", "gps@x", "gps=1@3", "battery@3", "battery=2@3", "reboot@3+1"),
+        *("loss", "loss=1.5", "NO_SUCH_THING", "Gps", "gps@-1"),
+    ],
 )
 def test_bad_fault_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"is not|takes"):
         parse_fault(text)
 
 
+def test_a_fault_must_fit_what_is_simulated() -> None:
+    assert parse_vehicle_fault("GF_ACTION=3").value == 3.0
+    with pytest.raises(ValueError, match="no parameter NO_SUCH_THING"):
+        parse_vehicle_fault("NO_SUCH_THING=1")
+    assert parse_camera_fault("blank+3").duration_s == 3.0
+    with pytest.raises(ValueError, match="only the camera"):
+        parse_camera_fault("gps@3")
+
+
+def test_a_mission_lists_faults() -> None:
+    simulation = {"faults": ["battery=0.5", "gps@3"]}
+    mission = make_mission(simulation=simulation)
+    flight = MockFlight(mission, World(mission))
+    flight.step()
+    assert flight.active_faults == {"battery": 0.5}
+    assert flight.autopilot.battery_level == 0.5
+    with pytest.raises(ValueError, match="is not KIND"):
+        make_mission(simulation={"faults": ["storm"]})
+
+
 def test_faults_switch_on_and_off_in_order() -> None:
-    seen: list[object] = []
+    seen: list[tuple[str, float | None]] = []
+    texts = ("gps@2+3", "battery=0.2@4", "gps@8", "deaf+0.5")
     schedule = FaultSchedule(
-        (parse_fault("gps@2+3"), parse_fault("battery=0.2@4"), parse_fault("gps@8")),
-        switches={"gps": seen.append},
-        events={"battery": seen.append},
+        [parse_fault(text) for text in texts], lambda kind, value: seen.append((kind, value))
     )
-    schedule.advance(1.9)
-    assert seen == []
-    schedule.advance(4.0)
-    assert seen == [True, 0.2]
-    schedule.advance(20.0)
-    assert seen == [True, 0.2, False, True]
+    schedule.advance(10.0, None)
+    assert seen == [("deaf", 1.0)]
+    schedule.advance(11.9, 10.0)
+    schedule.advance(14.0, 10.0)
+    assert seen[1:] == [("deaf", None), ("gps", 1.0), ("battery", 0.2)]
+    schedule.add(parse_fault("reboot"))
+    schedule.advance(30.0, 10.0)
+    assert seen[4:] == [("gps", 1.0), ("reboot", 1.0), ("gps", None)]
