@@ -40,11 +40,8 @@ _STALE_POSITION_S = 0.5
 _POSES_KEPT = 512
 _FURTHEST_M, _FASTEST_M_S, _WIDEST_RAD = 1e6, 1e3, 4.0 * math.pi
 _JUMP_M, _JUMP_RATIO, _JUMP_WITHIN_S = 2.0, 3.0, 1.0
-_POSITION_FLAGS = (
-    mavlink.ESTIMATOR_POS_HORIZ_ABS
-    | mavlink.ESTIMATOR_CONST_POS_MODE
-    | mavlink.ESTIMATOR_GPS_GLITCH
-)
+# Not CONST_POS_MODE, which PX4 also sets while it stands still on the ground.
+_POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_GPS_GLITCH
 _Status = tuple[Mode, bool, bool]
 
 
