@@ -1,8 +1,8 @@
 """What is safe now: a table from the situation of a flight to what is done, and why.
 
 Pure: no clock, no waiting, no vehicle. The runner gathers situations, asks at every pose and after
-every step, and does what the first row that holds says. Rows marked `F:` leave an armed drone, or
-take one that is not ours: they are what the flight does today, and wait to be mended.
+every step, and does what the first row that holds says. A vehicle is ours from when we ask it to
+arm; while its motors may run, only a person, or a link that is silent for long, ends the program.
 """
 
 from __future__ import annotations
@@ -60,6 +60,14 @@ class Reason(StrEnum):
 
     GO_ON = "nothing is against it"
     TAKEN = "the pilot flies"
+    NOT_OURS = (
+        "the vehicle is armed, or not on the ground: others fly it, or a flight before this one "
+        "did not end; nothing was commanded; land and disarm it first"
+    )
+    BATTERY_ON_GROUND = (
+        "the battery is at the level of flight.return_battery before take-off; charge it, or "
+        "lower that level"
+    )
     FAILED = "the vehicle, or what it is flown with, failed"
     DISARMED = "the vehicle disarmed during the patrol; see what it says"
     NO_POSITION = (
@@ -68,18 +76,24 @@ class Reason(StrEnum):
     )
     INTERRUPTED = "a person asked for the return"
     BATTERY_LOW = "the battery is at its limit"
+    TIME_UP = "it has been in the air for as long as its battery is said to last until the return"
+    OFF_HEIGHT = "the drone left its height by more than wind explains; it returns"
+    BLIND = "no picture could be taken and read for too long; the drone returns"
     HORIZON = "the horizon is flown"
     PLANNER_LATE = "the planner gave no waypoint in time"
-    BROKEN = "the vehicle cannot be commanded any more"
-    UNSURE = "it may have armed since the last heartbeat"
+    UNSURE = "it may be armed: two heartbeats in a row must say that it is not"
     MOTORS_OFF = "the motors are off"
+    LEFT = "a person ended the program while nothing could be commanded"
     LOST_FOR_GOOD = "the link did not come back"
     LOST = "the link is silent"
-    REFUSED_FOR_GOOD = "returning and landing were refused for too long"
     REFUSED = "what is refused here may go there"
     FAILSAFE_FLIES = "a failsafe flies home or lands"
-    FAILSAFE_HOVERS = "a failsafe can do nothing but hover: only down is left"
+    FAILSAFE_HOLDS = "a failsafe holds, as it does before it acts"
+    FAILSAFE_STAYS = "a failsafe has held for long, and the position is good: home"
+    FAILSAFE_HOVERS = "a failsafe without a position can only hover: only down is left"
+    FAILSAFE_OVER = "the failsafe is over, and the mode is none that we asked for"
     LAND_NOW = "a person wants it to land here"
+    POSITION_BACK = "the position is good again: home rather than down here"
     COMING_DOWN = "it is on its way down"
     ON_GROUND = "it stands on the ground"
     DOWN_HERE = "it lands here"
@@ -95,10 +109,15 @@ class Situation:
     """All that the table looks at.
 
     before: the state that the pilot or a failsafe broke into.
-    is_sure: whether heartbeats since arming was asked for say if it is armed.
-    is_coming_down: whether the mode is return or land.
+    is_sure: whether two heartbeats in a row, none of them older than our last request to arm, say
+    what `is_armed` says; is_offboard needs two as well.
+    is_position_good: whether there is an absolute position.
+    is_holding, is_coming_down: whether the mode is hold; whether it is return or land.
+    is_failsafe_long: whether a failsafe has held for longer than it does before it acts.
+    is_position_back: whether it was lost on this flight, and no return was refused since.
     is_down_under_way: whether the way down was confirmed, and nothing has broken it since.
-    times_interrupted: how often a person asked: once to return, twice to land here.
+    is_on_ground_long: whether it should have disarmed by itself.
+    times_interrupted: how often a person asked: to return, to land here, to end the program.
     """
 
     state: State
@@ -107,17 +126,23 @@ class Situation:
     is_armed: bool
     is_sure: bool = True
     is_on_ground: bool = False
+    is_on_ground_long: bool = False
     is_position_good: bool = True
     is_battery_low: bool = False
+    is_time_up: bool = False
+    is_off_height: bool = False
+    is_blind: bool = False
     is_offboard: bool = False
+    is_holding: bool = False
     is_failsafe: bool = False
+    is_failsafe_long: bool = False
     is_coming_down: bool = False
+    is_position_back: bool = False
     is_down_under_way: bool = False
     times_interrupted: int = 0
     is_horizon_flown: bool = False
     is_planner_late: bool = False
     is_lost_for_long: bool = False
-    is_refused_for_long: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +176,11 @@ def deciding_row(situation: Situation) -> Row:
     return next(row for row in _ROWS[situation.state] if row.holds(situation))
 
 
-_, _LAUNCHING, _PATROLLING = ((state,) for state in MISSION)
+_PREPARING, _LAUNCHING, _PATROLLING = ((state,) for state in MISSION)
 _RETURNING, _LANDING, _FAILSAFE = ((state,) for state in HOMEWARD)
 _PILOT = (State.PILOT,)
+_STUCK = {Setback.REFUSED, Setback.LINK_LOST, Setback.FAILED}
+"""Setbacks in which no command has an effect."""
 
 
 def _always(_: Situation) -> bool:
@@ -170,55 +197,81 @@ def _given_back(*before: State) -> Callable[[Situation], bool]:
 
 # fmt: off
 TABLE = (
+    # On the ground the vehicle is not ours yet: nothing is commanded.
+    Row(_PREPARING, lambda s: s.setback is not Setback.NONE,
+        State.ENDED, Action.END, Reason.FAILED),
+    Row(_PREPARING, lambda s: s.times_interrupted >= 1,
+        State.ENDED, Action.END, Reason.INTERRUPTED),
+    Row(_PREPARING, lambda s: s.is_armed or not s.is_on_ground,
+        State.ENDED, Action.END, Reason.NOT_OURS),
+    Row(_PREPARING, lambda s: s.is_battery_low,
+        State.ENDED, Action.END, Reason.BATTERY_ON_GROUND),
+
     # The mission, until something ends it.
-    # F: one that others fly is armed already, and is taken home when the preparation fails.
     Row(_LAUNCHING + _PATROLLING, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
-    Row(MISSION, lambda s: s.setback is not Setback.NONE,
+    Row(_LAUNCHING + _PATROLLING, lambda s: s.setback is not Setback.NONE,
         State.RETURNING, Action.LEAVE, Reason.FAILED),
-    Row(_PATROLLING, lambda s: not s.is_armed, State.RETURNING, Action.LEAVE, Reason.DISARMED),
+    Row(_PATROLLING, lambda s: not s.is_armed and s.is_sure,
+        State.RETURNING, Action.LEAVE, Reason.DISARMED),
     Row(_PATROLLING, lambda s: not s.is_position_good,
-        State.RETURNING, Action.LEAVE, Reason.NO_POSITION),
-    Row(MISSION, lambda s: s.times_interrupted >= 1,
+        State.LANDING, Action.LEAVE, Reason.NO_POSITION),
+    Row(_LAUNCHING + _PATROLLING, lambda s: s.times_interrupted >= 1,
         State.RETURNING, Action.LEAVE, Reason.INTERRUPTED),
     Row(_PATROLLING, lambda s: s.is_battery_low, State.RETURNING, Action.LEAVE, Reason.BATTERY_LOW),
     Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
+    Row(_PATROLLING, lambda s: s.is_time_up, State.RETURNING, Action.LEAVE, Reason.TIME_UP),
+    Row(_PATROLLING, lambda s: s.is_off_height, State.RETURNING, Action.LEAVE, Reason.OFF_HEIGHT),
+    Row(_PATROLLING, lambda s: s.is_blind, State.RETURNING, Action.LEAVE, Reason.BLIND),
     Row(_PATROLLING, lambda s: s.is_planner_late,
         State.RETURNING, Action.LEAVE, Reason.PLANNER_LATE),
     Row(MISSION, _always, None, Action.GO_ON, Reason.GO_ON),
 
-    # The way home.
-    Row(HOMEWARD, _has(Setback.FAILED), State.ENDED, Action.END, Reason.BROKEN),  # F:
+    # The way home: who may still be heard?
+    Row(HOMEWARD, lambda s: s.setback in _STUCK and s.times_interrupted >= 3,
+        State.ENDED, Action.END, Reason.LEFT),
+    Row(HOMEWARD, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
+        State.ENDED, Action.END, Reason.LOST_FOR_GOOD),
+    Row(HOMEWARD, _has(Setback.LINK_LOST), None, Action.LISTEN, Reason.LOST),
     Row(HOMEWARD, lambda s: not s.is_armed and not s.is_sure, None, Action.LISTEN, Reason.UNSURE),
     Row(HOMEWARD, lambda s: not s.is_armed, State.ENDED, Action.END, Reason.MOTORS_OFF),
-    Row(HOMEWARD, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
-        State.ENDED, Action.END, Reason.LOST_FOR_GOOD),  # F:
-    Row(HOMEWARD, _has(Setback.LINK_LOST), None, Action.LISTEN, Reason.LOST),
-    Row(HOMEWARD, lambda s: s.setback is Setback.REFUSED and s.is_refused_for_long,
-        State.ENDED, Action.END, Reason.REFUSED_FOR_GOOD),  # F:
+    # Who flies?
     Row(HOMEWARD, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
-    Row(HOMEWARD, lambda s: _is_failsafe_new(s) and s.is_coming_down,
-        State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_FLIES),
-    Row(HOMEWARD, lambda s: _is_failsafe_new(s),
-        State.LANDING, Action.LEAVE, Reason.FAILSAFE_HOVERS),
-    Row(_RETURNING + _FAILSAFE, lambda s: s.is_down_under_way and s.times_interrupted >= 2
-        and (s.state is State.RETURNING or s.before is not State.LANDING),
+    Row(_RETURNING + _FAILSAFE, lambda s: s.setback is Setback.NONE and s.is_down_under_way
+        and s.times_interrupted >= 2 and s.before is not State.LANDING,
         State.LANDING, Action.LEAVE, Reason.LAND_NOW),
-    Row(HOMEWARD, lambda s: s.is_down_under_way, None, Action.WATCH, Reason.COMING_DOWN),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_on_ground_long,
+        None, Action.DISARM, Reason.ON_GROUND),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_coming_down,
+        State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_FLIES),
+    Row(_FAILSAFE, lambda s: not s.is_failsafe, State.PILOT, Action.OFFER, Reason.FAILSAFE_OVER),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_holding and s.is_position_good
+        and not s.is_failsafe_long, State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_HOLDS),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_holding and s.is_position_good,
+        State.RETURNING, Action.LEAVE, Reason.FAILSAFE_STAYS),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s),
+        State.LANDING, Action.LEAVE, Reason.FAILSAFE_HOVERS),
+    # We do.
     Row(_RETURNING, _has(Setback.REFUSED), State.LANDING, Action.LEAVE, Reason.REFUSED),
     Row(_LANDING, lambda s: s.setback is Setback.REFUSED and s.times_interrupted < 2,
         State.RETURNING, Action.LEAVE, Reason.REFUSED),
-    Row(_RETURNING + _LANDING, lambda s: s.is_on_ground, None, Action.DISARM, Reason.ON_GROUND),
-    Row(_RETURNING + _LANDING, lambda s: s.times_interrupted >= 2 or s.state is State.LANDING,
-        State.LANDING, Action.LAND, Reason.DOWN_HERE),
+    Row(_RETURNING + _LANDING, lambda s: s.is_on_ground_long
+        or (s.is_on_ground and not s.is_down_under_way), None, Action.DISARM, Reason.ON_GROUND),
+    Row(_LANDING, lambda s: s.is_down_under_way and s.is_position_back and s.times_interrupted < 2,
+        State.RETURNING, Action.LEAVE, Reason.POSITION_BACK),
+    Row(_RETURNING + _LANDING, lambda s: s.is_down_under_way,
+        None, Action.WATCH, Reason.COMING_DOWN),
+    Row(_RETURNING, lambda s: not s.is_position_good or s.times_interrupted >= 2,
+        State.LANDING, Action.LEAVE, Reason.DOWN_HERE),
+    Row(_LANDING, _always, None, Action.LAND, Reason.DOWN_HERE),
     Row(_RETURNING, _always, None, Action.RETURN, Reason.HOME),
 
     # The pilot, who always wins: nothing is commanded.
-    Row(_PILOT, _has(Setback.FAILED), State.ENDED, Action.END, Reason.BROKEN),  # F:
-    Row(_PILOT, lambda s: not s.is_armed, State.ENDED, Action.END, Reason.PILOT_LANDED),
+    Row(_PILOT, lambda s: not s.is_armed and s.is_sure,
+        State.ENDED, Action.END, Reason.PILOT_LANDED),
     Row(_PILOT, lambda s: s.times_interrupted >= 2, State.ENDED, Action.END, Reason.PILOT_KEEPS),
     Row(_PILOT, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
-        State.ENDED, Action.END, Reason.LOST_FOR_GOOD),  # F:
-    Row(_PILOT, _has(Setback.LINK_LOST), None, Action.WAIT, Reason.LOST),
+        State.ENDED, Action.END, Reason.LOST_FOR_GOOD),
+    Row(_PILOT, lambda s: s.setback is not Setback.NONE, None, Action.LISTEN, Reason.LOST),
     Row(_PILOT, _given_back(State.PATROLLING), State.PATROLLING, Action.GO_ON, Reason.GIVEN_BACK),
     Row(_PILOT, _given_back(State.LANDING), State.LANDING, Action.LEAVE, Reason.GIVEN_BACK),
     Row(_PILOT, _given_back(State.LAUNCHING, State.RETURNING, State.FAILSAFE),
@@ -230,6 +283,6 @@ TABLE = (
 _ROWS = {state: [row for row in TABLE if state in row.states] for state in State}
 
 
-def _is_failsafe_new(s: Situation) -> bool:
-    """Whether a failsafe took over, or did before the link was lost and must be looked at again."""
-    return s.setback is Setback.FAILSAFE or (s.state is State.FAILSAFE and not s.is_down_under_way)
+def _is_failsafe_in(s: Situation) -> bool:
+    """Whether a failsafe flies, or did before something else was looked at."""
+    return s.setback is Setback.FAILSAFE or s.state is State.FAILSAFE

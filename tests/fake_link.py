@@ -10,6 +10,7 @@ import asyncio
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from sim.faults import FaultSchedule
 STEP_S = 0.02
 ORIGIN = GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0)
 _ATTEMPTS = 3
-_SETPOINT_LIMIT_S = 1.0
+_SETPOINT_LIMIT_S, _FAILSAFE_HOLD_S = 1.0, 5.0
 _DISARM_AFTER_S = 2.0
 _SPEED_M_S, _CLIMB_M_S = 20.0, 3.0
 
@@ -47,7 +48,8 @@ class FakeVehicle:
         self.intent = Mode.HOLD
         self.is_armed = False
         self.has_gps = True
-        self.battery = 0.9
+        self.is_position_good = True
+        self.battery: float | None = 0.9
         self.is_deaf = False
         self.refused: set[str] = set()
         """Names of commands that are refused; `all` refuses every one."""
@@ -58,6 +60,9 @@ class FakeVehicle:
         self.setpoint_s = -math.inf
         self._on_ground_s = 0.0
         self._has_flown = False
+        self.disarm_after_s = _DISARM_AFTER_S
+        self.setpoint_limit_s = _SETPOINT_LIMIT_S
+        self.height_error_m = 0.0
 
     @property
     def is_on_ground(self) -> bool:
@@ -74,8 +79,10 @@ class FakeVehicle:
             return Mode.ALTITUDE
         if self.failsafe is not None:
             return self.failsafe
-        is_late = self.time_s > self.setpoint_s + _SETPOINT_LIMIT_S
-        return Mode.RETURN if self.intent is Mode.OFFBOARD and is_late else None
+        late_s = self.time_s - self.setpoint_s - self.setpoint_limit_s
+        if self.intent is not Mode.OFFBOARD or late_s <= 0.0:
+            return None
+        return Mode.HOLD if late_s < _FAILSAFE_HOLD_S else Mode.RETURN
 
     @property
     def is_failsafe(self) -> bool:
@@ -98,7 +105,7 @@ class FakeVehicle:
         self._has_flown = self.is_armed and (self._has_flown or not self.is_on_ground)
         if not (self.is_on_ground and self._has_flown):
             self._on_ground_s = self.time_s
-        if self.time_s - self._on_ground_s > _DISARM_AFTER_S:
+        if self.time_s - self._on_ground_s > self.disarm_after_s:
             self.is_armed = False
 
     def _fly(self) -> None:
@@ -148,6 +155,8 @@ class FakeLink:
         self._loss_s, self._timeout_s = link_loss_timeout_s, command_timeout_s
         self._heartbeat_s, self._heartbeat_due_s = heartbeat_s, 0.0
         self._num_heartbeats, self._beat_at = 0, 0.0
+        self.num_resets = 0
+        self._misled: dict[str, Any] = {}
         self._state = VehicleState()
         self._poses: list[Pose] = []
         self._given_s = -math.inf
@@ -162,8 +171,13 @@ class FakeLink:
         vehicle = self.vehicle
 
         def lose_gps(is_lost: float | None) -> None:
+            """The failsafe is seen before the position's flag clears, as with PX4."""
             vehicle.has_gps = not is_lost
-            vehicle.refused = {"return", "land"} if is_lost else set()
+            asyncio.get_running_loop().call_later(
+                2.5 if is_lost else 0.0,
+                lambda: setattr(vehicle, "is_position_good", vehicle.has_gps),
+            )
+            vehicle.refused = {"return"} if is_lost else set()
 
         def reject(is_on: float | None) -> None:
             vehicle.refused = {"all"} if is_on else set()
@@ -207,16 +221,18 @@ class FakeLink:
             self._heartbeat_due_s = vehicle.time_s + self._heartbeat_s
             self._num_heartbeats += 1
             self._beat_at = asyncio.get_running_loop().time()
-            self._state = replace(
-                self._state,
-                mode=vehicle.mode,
-                is_armed=vehicle.is_armed,
-                is_failsafe=vehicle.is_failsafe,
-            )
+            said = {
+                "mode": vehicle.mode,
+                "is_armed": vehicle.is_armed,
+                "is_failsafe": vehicle.is_failsafe,
+            }
+            self._state = replace(self._state, **(said | self._misled))
+            self._misled = {}
         self._state = replace(
             self._state,
             is_armable=True,
-            is_position_good=vehicle.has_gps,
+            is_position_good=vehicle.is_position_good,
+            num_resets=self.num_resets,
             landed=Landed.ON_GROUND if vehicle.is_on_ground else Landed.IN_AIR,
             battery=vehicle.battery,
             home=ORIGIN,
@@ -226,7 +242,9 @@ class FakeLink:
         self._poses.append(
             Pose(
                 time_s=vehicle.time_s,
-                position_ned_m=_vector(vehicle.position),
+                position_ned_m=_vector(
+                    [*vehicle.position[:2], vehicle.position[2] + vehicle.height_error_m]
+                ),
                 velocity_ned_m_s=_vector(vehicle.velocity),
                 attitude_rad=(0.0, 0.0, 0.0),
             )
@@ -245,6 +263,11 @@ class FakeLink:
     @property
     def time_s(self) -> float:
         return self.pose.time_s
+
+    def mislead(self, **changes: Any) -> None:
+        """Have one heartbeat say something else than is so."""
+        self._misled = changes
+        self._heartbeat_due_s = 0.0
 
     def say(self, text: str) -> None:
         """Have the autopilot say something."""
@@ -314,6 +337,10 @@ class FakeLink:
 
     async def wait_ready(self, timeout_s: float) -> None:
         await self.wait_until(lambda: self._state.home is not None, "ready", timeout_s)
+
+    @property
+    def num_heartbeats(self) -> int:
+        return self._num_heartbeats
 
     async def next_heartbeat(self) -> None:
         heard = self._num_heartbeats
@@ -407,7 +434,8 @@ class FakeCamera:
 
     def __init__(self, link: FakeLink, width_px: int = 64, height_px: int = 64) -> None:
         self._link = link
-        self._image = np.full((height_px, width_px, 3), 128, dtype=np.uint8)
+        noise = np.random.default_rng(0).integers(100, 150, (height_px, width_px, 3))
+        self._image = noise.astype(np.uint8)
 
     async def __aenter__(self) -> FakeCamera:
         return self

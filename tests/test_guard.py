@@ -28,45 +28,60 @@ ALLOWED = {
     State.PATROLLING: {Action.GO_ON},
     State.RETURNING: {Action.LEAVE, Action.LISTEN, Action.RETURN, Action.WATCH, Action.DISARM},
     State.LANDING: {Action.LEAVE, Action.LISTEN, Action.LAND, Action.WATCH, Action.DISARM},
-    State.FAILSAFE: {Action.LISTEN, Action.WATCH},
-    State.PILOT: {Action.OFFER, Action.WAIT},
+    State.FAILSAFE: {Action.LISTEN, Action.WATCH, Action.DISARM},
+    State.PILOT: {Action.OFFER, Action.WAIT, Action.LISTEN},
     State.ENDED: {Action.END},
 }
 """What may be done in the state that the advice leads to."""
-LEFT_ARMED = {
-    Reason.BROKEN,
-    Reason.LOST_FOR_GOOD,
-    Reason.REFUSED_FOR_GOOD,
-    Reason.PILOT_KEEPS,
-}
-"""Where an armed drone is left: all but the last are marked `F:` in the table, to be mended."""
-MISSION_FACTS = ("is_position_good", "is_battery_low", "is_horizon_flown", "is_planner_late")
-HOME_FACTS = (
-    *("is_sure", "is_on_ground", "is_coming_down", "is_down_under_way"),
-    *("is_lost_for_long", "is_refused_for_long", "is_offboard", "is_failsafe"),
+LEFT_ARMED = {Reason.LOST_FOR_GOOD, Reason.LEFT, Reason.PILOT_KEEPS}
+"""Where a drone of ours is left armed: to a person, or because nothing is heard."""
+COMMANDS = {Action.RETURN, Action.LAND, Action.DISARM}
+MISSION_FACTS = (
+    *("is_sure", "is_on_ground", "is_position_good", "is_battery_low", "is_time_up"),
+    *("is_off_height", "is_blind", "is_horizon_flown", "is_planner_late"),
 )
-
-
+MODES = ({}, {"is_offboard": True}, {"is_holding": True}, {"is_coming_down": True})
+GROUND = ({}, {"is_on_ground": True}, {"is_on_ground": True, "is_on_ground_long": True})
+FAILSAFES = ({}, {"is_failsafe": True}, {"is_failsafe": True, "is_failsafe_long": True})
+HOME_FLAGS = ("is_sure", "is_position_good", "is_position_back", "is_down_under_way")
 BEFORE = {
-    State.PILOT: (State.LAUNCHING, State.PATROLLING, State.RETURNING, State.LANDING),
+    State.PILOT: (State.LAUNCHING, State.PATROLLING, *HOMEWARD),
     State.FAILSAFE: (State.RETURNING, State.LANDING),
 }
 """Where a pilot, or a failsafe on the way home, can break in."""
 
 
+def _facts(state: State) -> Iterator[dict[str, bool]]:
+    """What telemetry may say in a state: all combinations, on the mission of two that are odd."""
+    if state in MISSION:
+        usual = {
+            name: name in {"is_sure", "is_on_ground", "is_position_good"} for name in MISSION_FACTS
+        }
+        for odd in itertools.chain.from_iterable(
+            itertools.combinations(MISSION_FACTS, number) for number in range(3)
+        ):
+            yield usual | {name: not usual[name] for name in odd}
+        return
+    flags = [({flag: False}, {flag: True}) for flag in HOME_FLAGS]
+    for parts in itertools.product(MODES, GROUND, FAILSAFES, *flags):
+        yield {name: value for part in parts for name, value in part.items()}
+
+
 def _situations(state: State) -> Iterator[Situation]:
-    """Every combination of what the table may look at in a state."""
-    facts = MISSION_FACTS if state in MISSION else HOME_FACTS
-    befores = BEFORE.get(state, (state,))
-    for before, setback, is_armed, times in itertools.product(befores, Setback, (0, 1), range(3)):
-        for values in itertools.product((False, True), repeat=len(facts)):
+    """Every situation that a state can be in."""
+    setbacks = [(setback, False) for setback in Setback] + [(Setback.LINK_LOST, True)]
+    for facts in _facts(state):
+        for before, (setback, is_lost), is_armed, times in itertools.product(
+            BEFORE.get(state, (state,)), setbacks, (False, True), range(4)
+        ):
             yield Situation(
                 state=state,
                 before=before,
                 setback=setback,
-                is_armed=bool(is_armed),
+                is_lost_for_long=is_lost,
+                is_armed=is_armed,
                 times_interrupted=times,
-                **dict(zip(facts, values, strict=True)),
+                **facts,
             )
 
 
@@ -81,17 +96,26 @@ def test_every_situation_gets_an_action_that_its_state_allows():
         assert advice.action in ALLOWED[advice.state] | {Action.LEAVE}, (situation, advice)
         if advice.action is Action.LEAVE:
             assert advice.state in HOMEWARD, (situation, advice)
-        if advice.state is not State.ENDED:
-            assert advice.action is not Action.END
+        assert (advice.action is Action.END) == (advice.state is State.ENDED)
 
 
-def test_an_armed_drone_is_left_only_where_the_table_says_so():
+def test_a_drone_of_ours_is_left_armed_only_to_a_person_or_to_silence():
     left = {
         advice.reason
         for situation, advice in _advices()
-        if advice.action is Action.END and situation.is_armed
+        if advice.action is Action.END
+        and (situation.is_armed or not situation.is_sure)
+        and situation.state is not State.PREPARING
     }
     assert left == LEFT_ARMED
+
+
+def test_on_the_ground_a_vehicle_of_others_is_not_touched():
+    for situation, advice in _advices():
+        if situation.state is State.PREPARING:
+            assert advice.action in {Action.GO_ON, Action.END}
+            if situation.is_armed or not situation.is_on_ground:
+                assert advice.action is Action.END
 
 
 def test_the_pilot_always_wins_and_nothing_is_commanded_then():
@@ -100,7 +124,7 @@ def test_the_pilot_always_wins_and_nothing_is_commanded_then():
         if is_taken and situation.state in {State.LAUNCHING, State.PATROLLING, *HOMEWARD}:
             assert advice.state is State.PILOT
         if situation.state is State.PILOT:
-            assert advice.action not in {Action.RETURN, Action.LAND, Action.DISARM}
+            assert advice.action not in COMMANDS
             if advice.action is Action.OFFER:
                 assert not situation.is_failsafe, "a setpoint would end the failsafe"
 
@@ -109,16 +133,19 @@ def test_control_comes_back_only_with_offboard():
     for situation, advice in _advices():
         if situation.state is State.PILOT and advice.state not in {State.PILOT, State.ENDED}:
             assert situation.is_offboard
-            assert situation.is_armed
+            assert situation.is_armed or not situation.is_sure
             assert situation.times_interrupted < 2
 
 
 def test_the_patrol_goes_on_only_while_nothing_is_against_it():
     for situation, advice in _advices():
         if situation.state is State.PATROLLING and advice.action is Action.GO_ON:
-            assert situation.is_armed
+            assert situation.is_armed or not situation.is_sure
             assert situation.is_position_good
             assert not situation.is_battery_low
+            assert not situation.is_time_up
+            assert not situation.is_off_height
+            assert not situation.is_blind
             assert not situation.times_interrupted
             assert situation.setback is Setback.NONE
 
@@ -129,12 +156,30 @@ def test_a_second_interrupt_lands_here():
             assert advice.action is not Action.RETURN
 
 
+def test_a_failsafe_is_never_commanded_while_it_acts():
+    for situation, advice in _advices():
+        is_acting = situation.setback is Setback.FAILSAFE and situation.is_coming_down
+        if is_acting and situation.state in HOMEWARD and not situation.is_on_ground_long:
+            assert advice.action not in COMMANDS
+
+
+def test_land_is_asked_for_only_without_a_position_or_a_way_home():
+    """Where there is a position, home is better than the field."""
+    for situation, advice in _advices():
+        if situation.state in {State.RETURNING, State.FAILSAFE} and advice.state is State.LANDING:
+            is_hovering = situation.setback is Setback.FAILSAFE or situation.is_failsafe
+            assert (
+                not situation.is_position_good
+                or situation.times_interrupted >= 2
+                or situation.setback is Setback.REFUSED
+                or (is_hovering and not situation.is_holding)
+            ), situation
+
+
 def test_an_unarmed_drone_on_its_way_home_ends_the_flight():
     for situation, advice in _advices():
         if situation.state in HOMEWARD and not situation.is_armed:
-            assert advice.action is (
-                Action.END if advice.reason != Reason.UNSURE else Action.LISTEN
-            )
+            assert advice.action in {Action.END, Action.LISTEN}
 
 
 @pytest.mark.parametrize("state", [State.RETURNING, State.LANDING])

@@ -24,6 +24,7 @@ from dronemon.types import Picture
 _REQUEST = b"SHOT"
 _ANSWER = struct.Struct("!4sdI")
 _MAX_JPEG_BYTES = 64 * 2**20
+_JPEG_END = b"\xff\xd9"
 _CLOSE_TIMEOUT_S = 1.0
 
 
@@ -56,8 +57,8 @@ class SimulatedCamera:
         async with self._limited("send a picture"), self._turn:
             time_s, jpeg = await self._ask()
         image = await asyncio.to_thread(cv2.imdecode, jpeg, cv2.IMREAD_COLOR)
-        if image is None:
-            raise CameraError(f"{self._url} sent {jpeg.size} bytes that are no JPEG; is it `sim`?")
+        if image is None or bytes(jpeg[-2:]) != _JPEG_END:  # OpenCV fills what is missing with grey
+            raise CameraError(f"{self._url} sent {jpeg.size} bytes that are no whole JPEG")
         return Picture(time_s=time_s, image=np.asarray(image, np.uint8))
 
     async def _ask(self) -> tuple[float, NDArray[np.uint8]]:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Protocol, Self
 
-from dronemon.types import Picture
+from dronemon.errors import CameraError
+from dronemon.types import CameraModel, Picture
+
+_MAX_AHEAD_S = 5.0
+"""Vehicle time by which the newest pose may be behind a picture on its way."""
+_MIN_CONTRAST = 8
+"""Least spread of a picture's values, 0 to 255: noise alone has more."""
 
 
 class FrameSource(Protocol):
@@ -22,3 +28,29 @@ class FrameSource(Protocol):
         Raises CameraError when none came in time or the stream was lost. The next call tries again,
         with a new connection where that helps.
         """
+
+
+def check_picture(picture: Picture, model: CameraModel, now_s: float, last_s: float) -> None:
+    """See whether a picture can say anything. Raises CameraError if not.
+
+    now_s, last_s: vehicle time, and that of the picture before
+    """
+    height_px, width_px = picture.image.shape[:2]
+    wanted_px = model.width_px, model.height_px
+    if (width_px, height_px) != wanted_px:
+        turned = "; it seems to be turned" if (height_px, width_px) == wanted_px else ""
+        raise CameraError(
+            f"the camera's pictures are {width_px} x {height_px} pixels, the mission says "
+            f"{model.width_px} x {model.height_px}{turned}; "
+            "set camera.width_px and camera.height_px to what it sends"
+        )
+    if not picture.time_s <= now_s + _MAX_AHEAD_S:
+        raise CameraError(
+            f"a picture is stamped {picture.time_s:.2f} s, the vehicle's time is {now_s:.2f} s; "
+            "does the camera use the vehicle's clock?"
+        )
+    if picture.time_s <= last_s:
+        raise CameraError(f"a picture of {picture.time_s:.2f} s came again; does the camera hang?")
+    sample = picture.image[::8, ::8]
+    if int(sample.max()) - int(sample.min()) < _MIN_CONTRAST:
+        raise CameraError("a picture shows nothing at all; is the camera covered or broken?")

@@ -10,17 +10,20 @@ from functools import partial
 
 import numpy as np
 
+from dronemon.camera import check_picture
 from dronemon.errors import CameraError, DronemonError, PlannerError
 from dronemon.events import AreaLaid, EventStream, Progressed
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import State
-from dronemon.mission.checks import battery_problem
+from dronemon.mission.checks import battery_problem, usable_min
 from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.last_seen import LastSeen, last_seen
 from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
 from dronemon.runner.supervisor import Supervisor
 from dronemon.runner.tally import Tally
-from dronemon.types import Picture
+from dronemon.types import Picture, Vector3
+from dronemon.vehicle import Mode
 
 _GROUND_POSES = 20
 _CAMERA_TRIES = 3
@@ -33,13 +36,16 @@ class FlightResult:
     """How a flight ended.
 
     outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`.
-    landing_error_m: distance from home, None if it did not take off or did not land.
+    is_landed: whether the motors are off for sure; if not, last_seen has the last words.
+    landing_error_m: distance from where it was armed, None if it did not take off or land, or if
+    its position was not good.
     tally: what the patrol did; None if it never began.
     error: what went wrong, also if the drone came home after it.
     """
 
     outcome: str
     is_landed: bool
+    last_seen: LastSeen | None
     landing_error_m: float | None
     tally: Tally | None
     error: DronemonError | None
@@ -66,10 +72,11 @@ class _Flight:
             setup.interrupts,
             progress=self._progress,
             return_battery=self._mission.flight.return_battery,
+            max_airborne_s=usable_min(self._mission) * 60.0,
             planner_name=setup.planner.name,
         )
         self._patrol: Patrol | None = None
-        self._has_flown = False
+        self._home_ned_m: Vector3 | None = None  # where it was armed: PX4 moves home at landing
 
     async def run(self) -> FlightResult:
         supervisor = self._supervisor
@@ -83,12 +90,13 @@ class _Flight:
                             pass  # the pilot gave control back
                 finally:
                     await supervisor.come_home()
+                    await self._leave_in_hold()
             self._events.note("outcome", supervisor.outcome)
-        is_landed = not self._link.state.is_armed
         return FlightResult(
             outcome=supervisor.outcome,
-            is_landed=is_landed,
-            landing_error_m=self._distance_from_home_m() if self._has_flown and is_landed else None,
+            is_landed=supervisor.is_down,
+            last_seen=None if supervisor.is_down else last_seen(self._link),
+            landing_error_m=self._distance_from_home_m() if supervisor.is_down else None,
             tally=self._patrol.tally if self._patrol else None,
             error=supervisor.error,
         )
@@ -105,6 +113,7 @@ class _Flight:
             await self._check_picture()
             frame = await self._lay_area()
             self._check_distance(frame)
+            self._check_battery()
             start_au, roadmap = draw_start_and_roadmap(mission)
             briefing = brief(mission, setup.priors_au, start_au, stream="planner")
             reset = partial(setup.planner.reset, briefing, roadmap)
@@ -128,17 +137,12 @@ class _Flight:
                 roadmap=roadmap,
                 start_au=start_au,
             )
+            await link.next_heartbeat()  # the guard judges a fresh state
 
     async def _check_picture(self) -> None:
         """Compare the camera with the mission while still on the ground. Raises CameraError."""
-        camera = self._mission.camera
-        height_px, width_px = (await self._first_picture()).image.shape[:2]
-        if (width_px, height_px) != (camera.width_px, camera.height_px):
-            raise CameraError(
-                f"the camera's pictures are {width_px} x {height_px} pixels, the mission says "
-                f"{camera.width_px} x {camera.height_px}; "
-                "set camera.width_px and camera.height_px to what it sends"
-            )
+        picture = await self._first_picture()
+        check_picture(picture, self._mission.camera.model, self._link.time_s, -math.inf)
 
     async def _first_picture(self) -> Picture:
         """A picture from a camera that may still be waking up. Raises CameraError."""
@@ -171,15 +175,25 @@ class _Flight:
         if problem := battery_problem(self._mission, away_m):
             raise self._setup.file.error(("area", "latitude_deg"), problem)
 
+    def _check_battery(self) -> None:
+        """Say so if the return at a battery level cannot happen; the guard judges a known level."""
+        if self._link.state.battery is None:
+            self._events.note(
+                "battery",
+                "the vehicle does not tell its level: the drone returns after "
+                f"{usable_min(self._mission):.1f} min in the air instead",
+                level="WARN",
+            )
+
     # In the air
 
     async def _launch(self) -> None:
         """Arm and climb."""
         self._progress("arming")
         await self._link.arm()  # not interruptible: it could arm after nobody waits any more
+        self._home_ned_m = self._link.pose.position_ned_m
         self._events.note("armed", "motors are running")
         async with self._setup.interrupts.leaving():
-            self._has_flown = True
             self._progress("taking off")
             await self._link.take_off(self._mission.flight.altitude_m)
         self._events.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
@@ -197,12 +211,19 @@ class _Flight:
         except Exception as exc:  # noqa: BLE001 - nothing may disturb the way home
             self._events.note("failure", f"the last picture was lost: {exc!r}", level="WARN")
 
+    async def _leave_in_hold(self) -> None:
+        """After our flight: PX4 would else want OFFBOARD again, in which it cannot be armed."""
+        is_ours = self._supervisor.was_armed and self._supervisor.state is State.ENDED
+        if is_ours and self._supervisor.is_down and self._link.state.mode is not Mode.HOLD:
+            with contextlib.suppress(DronemonError):
+                await self._link.hold()
+
     # Telling
 
     def _progress(self, phase: str) -> None:
         """Tell how far the flight is, and what the autopilot said since the last time."""
         for said in self._link.texts():
-            self._events.note("autopilot", said.text)
+            self._events.note("autopilot", said.text, level=said.level)
         if self._patrol is not None:
             self._events.emit(self._patrol.progress(phase))
             return
@@ -216,8 +237,6 @@ class _Flight:
         )
 
     def _distance_from_home_m(self) -> float | None:
-        state = self._link.state
-        if state.home is None or state.origin is None:
+        if self._home_ned_m is None or not self._link.state.is_position_good:
             return None
-        home = geo_to_ned(state.home, state.origin)
-        return math.dist(self._link.pose.position_ned_m[:2], home[:2])
+        return math.dist(self._link.pose.position_ned_m[:2], self._home_ned_m[:2])

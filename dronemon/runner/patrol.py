@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from dronemon.arena import ARENA
+from dronemon.camera import check_picture
 from dronemon.errors import CameraError, PlannerError
 from dronemon.events import Believed, Decided, EventStream, Measured, Moved, Pictured, Progressed
 from dronemon.frames import AreaFrame
@@ -40,7 +41,14 @@ SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
 _MAX_PENDING = 4
 _LOOK_LIMIT_S = 3.0
-"""Wall time for the detector; before its delay makes the planner late."""
+"""Wall time for the detector."""
+BLIND_LIMIT_S = 30.0
+"""Vehicle time without a picture that says anything, and the number that may fail in a row."""
+_BLIND_PICTURES = 3
+_SLOW_PLANNER_S = 1.0
+_OFF_HEIGHT_S = 3.0
+"""Vehicle time for which the drone may be far from its height."""
+_HEIGHT_BAND_M, _HEIGHT_BAND = 2.0, 0.15
 
 
 class Patrol:
@@ -75,7 +83,11 @@ class Patrol:
         self._last_setpoint_s = -math.inf
         self._unseen: deque[Picture] = deque()  # taken and not yet looked at
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
-        self._is_waypoint_asked = False
+        self._is_waypoint_asked = self._is_slowness_told = False
+        self._at_height_s = 0.0
+        self._pictured_s = -math.inf  # vehicle time of the newest picture
+        self._blind_since_s: float | None = None
+        self._num_blind = 0
         self._grid_au = belief_grid_au()
         self.tally: Tally | None = None
 
@@ -84,14 +96,9 @@ class Patrol:
 
         Raises what the vehicle, the camera, the planner or the recorder raise.
         """
-        flight = self._mission.flight
         pose = self._link.pose
-        self._carrot = Carrot(
-            pose.position_ned_m[:2],
-            speed_m_s=flight.cruise_speed_m_s,
-            max_acceleration_m_s2=flight.max_acceleration_m_s2,
-        )
-        self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
+        self._set_out(pose)
+        self._at_height_s, self._blind_since_s = pose.time_s, None
         self._last_pose, self._waiting_since = None, None
         self._is_waypoint_asked = False
         self._work: asyncio.Queue[Picture | None] = asyncio.Queue(_MAX_PENDING)
@@ -114,6 +121,17 @@ class Patrol:
 
     # Guidance
 
+    def _set_out(self, pose: Pose) -> None:
+        """Begin a path here, to the newest waypoint."""
+        flight = self._mission.flight
+        self._num_resets = self._link.state.num_resets
+        self._carrot = Carrot(
+            pose.position_ned_m[:2],
+            speed_m_s=flight.cruise_speed_m_s,
+            max_acceleration_m_s2=flight.max_acceleration_m_s2,
+        )
+        self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
+
     async def _guide(self) -> None:
         while True:
             pose = await self._link.next_pose()
@@ -124,6 +142,10 @@ class Patrol:
             advice = self._supervisor.ask(
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
+                is_off_height=self._is_off_height(pose),
+                is_blind=self._blind_since_s is not None
+                and self._num_blind >= _BLIND_PICTURES
+                and pose.time_s > self._blind_since_s + BLIND_LIMIT_S,
             )
             if advice.action is not Action.GO_ON:
                 return
@@ -131,6 +153,9 @@ class Patrol:
             if duration_s < SETPOINT_INTERVAL_S:
                 continue
             self._last_setpoint_s = pose.time_s
+            if self._link.state.num_resets != self._num_resets:
+                self._events.note("position", "the estimate moved; so does the path", level="WARN")
+                self._set_out(pose)
             position_m, velocity_m_s = self._carrot.advance(
                 min(duration_s, 4 * SETPOINT_INTERVAL_S), pose.position_ned_m[:2]
             )
@@ -157,10 +182,21 @@ class Patrol:
             and not (self._picture_due.is_set() or self._is_taking)
         )
 
+    def _is_off_height(self, pose: Pose) -> bool:
+        """Whether it has been far from its height for long."""
+        off_m = abs(pose.position_ned_m[2] - self._down_m)
+        if off_m <= _HEIGHT_BAND_M + _HEIGHT_BAND * self._mission.flight.altitude_m:
+            self._at_height_s = pose.time_s
+        return pose.time_s > self._at_height_s + _OFF_HEIGHT_S
+
     def _is_planner_late(self, pose: Pose) -> bool:
         if self._waiting_since is None:
             return False
         since_s, since = self._waiting_since
+        if not self._is_slowness_told and pose.time_s > since_s + _SLOW_PLANNER_S:
+            self._is_slowness_told = True
+            what = f"no waypoint yet: the drone stays there for {PLANNER_LIMIT_S:g} s at most"
+            self._events.note("planner slow", what, level="WARN")
         return (
             pose.time_s > since_s + PLANNER_LIMIT_S
             and asyncio.get_running_loop().time() > since + PLANNER_LIMIT_WALL_S
@@ -168,7 +204,8 @@ class Patrol:
 
     def _ask_for_waypoint(self, pose: Pose) -> None:
         if not self._carrot.needs_waypoint:
-            self._is_waypoint_asked, self._waiting_since = False, None
+            self._is_waypoint_asked = self._is_slowness_told = False
+            self._waiting_since = None
             return
         if self._waiting_since is None:
             self._waiting_since = pose.time_s, asyncio.get_running_loop().time()
@@ -196,10 +233,26 @@ class Patrol:
             await self._picture_due.wait()
             self._picture_due.clear()
             self._is_taking = True
-            picture = await self._setup.camera.capture()
-            self._is_taking = False
-            self._unseen.append(picture)
-            await self._work.put(picture)
+            try:
+                picture = await self._setup.camera.capture()
+                camera, now_s = self._mission.camera.model, self._link.time_s
+                check_picture(picture, camera, now_s, self._pictured_s)
+            except CameraError as exc:
+                self._miss(exc)
+            else:
+                self._pictured_s = picture.time_s
+                self._unseen.append(picture)
+                await self._work.put(picture)
+            finally:
+                self._is_taking = False
+
+    def _miss(self, exc: CameraError) -> None:
+        """A picture that says nothing: for a while the beliefs do without."""
+        if self._blind_since_s is None:
+            self._blind_since_s, self._num_blind = self._link.time_s, 0
+            what = f"{exc}; the patrol goes on without for {BLIND_LIMIT_S:g} s at most"
+            self._events.note("camera", what, level="WARN")
+        self._num_blind += 1
 
     # What is seen, believed and chosen
 
@@ -209,12 +262,19 @@ class Patrol:
             if work is None:
                 await self._choose()
             else:
-                await self._look(work)
+                await self._look_or_miss(work)
 
     async def look_at_the_rest(self) -> None:
         """Look at the pictures that were taken and not yet looked at when the patrol ended."""
         while self._unseen:
-            await self._look(self._unseen[0])
+            await self._look_or_miss(self._unseen[0])
+
+    async def _look_or_miss(self, picture: Picture) -> None:
+        try:
+            await self._look(picture)
+        except CameraError as exc:
+            self._unseen.popleft()
+            self._miss(exc)
 
     async def _look(self, picture: Picture) -> None:
         tally = self.tally
@@ -240,6 +300,7 @@ class Patrol:
             if is_seen:
                 tally.last_seen_s[name] = picture.time_s
         self._unseen.popleft()
+        self._blind_since_s = None
         self._belief.sightings.add(measurement)
         if self._mission.record.pictures:
             self._events.emit(Pictured(picture=picture, detections=detections, pose=pose))

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import logging
 import math
 from collections.abc import Awaitable, Callable
+from typing import TypedDict, Unpack
 
 from dronemon.errors import (
+    CameraError,
     CommandRejected,
     CommandUnconfirmed,
     ControlTaken,
@@ -36,34 +40,49 @@ LANDING_LIMIT_S = 900.0
 """Vehicle time for the way home and the landing."""
 LOST_LINK_LIMIT_S = 120.0
 """Wall time for a lost link to come back; the autopilot flies home by itself meanwhile."""
-FAILING_LIMIT_S = 120.0
-"""Wall time in which returning and landing are asked for in turn, while both are refused."""
-PLANNER_LIMIT_S = 4.0
-"""Vehicle time after a waypoint was due at which the mission loop counts as hung."""
+PLANNER_LIMIT_S = 20.0
+"""Vehicle time that the drone holds at a waypoint for the next one, before it returns."""
 PLANNER_LIMIT_WALL_S = 1.0
 """And wall time, so that a busy machine ends no flight of a simulator that runs faster."""
-_HEARTBEATS_TO_BE_SURE = 2
+FAILSAFE_HOLD_LIMIT_S = 8.0
+"""Vehicle time of a failsafe's hold: PX4 acts after COM_FAIL_ACT_T, 5 s by default."""
+DISARM_LIMIT_S = 5.0
+"""Vehicle time on the ground after which we disarm; PX4 does after COM_DISARM_LAND, 2 s."""
+_REPEAT_S = 5.0
+"""Wall time after which a problem that lasts is told again."""
+_RETRY_S = 0.5
 _OUTCOMES = {
     Reason.HORIZON: "completed",
     Reason.INTERRUPTED: "interrupted",
     Reason.BATTERY_LOW: "battery low",
+    Reason.TIME_UP: "battery low",
     Reason.PILOT_LANDED: "pilot",
     Reason.PILOT_KEEPS: "pilot",
 }
-_GIVEN_UP = {Reason.BROKEN, Reason.LOST_FOR_GOOD, Reason.REFUSED_FOR_GOOD}
-_SECOND = {
+_INTERRUPTS = {
+    State.PREPARING: "nothing has flown; the program ends",
     State.PILOT: "the pilot flies on; Ctrl-C again ends the program and leaves it to the pilot",
     State.LANDING: "the drone is landing here already",
 }
+
+
+class PatrolFacts(TypedDict, total=False):
+    """What only the patrol can tell the guard; see Situation."""
+
+    is_horizon_flown: bool
+    is_planner_late: bool
+    is_off_height: bool
+    is_blind: bool
 
 
 class Supervisor:
     """What one flight has come to, and the steps that the guard asks for.
 
     progress: tells a line of progress of a phase; return_battery: level at which to return.
-    planner_name: for its errors.
+    max_airborne_s: vehicle time after arming at which to return; planner_name: for its errors.
     outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`; error: what
     went wrong first, also if the drone came home after it.
+    was_armed: whether we armed it; is_down: whether the motors are off for sure.
     """
 
     def __init__(
@@ -74,6 +93,7 @@ class Supervisor:
         *,
         progress: Callable[[str], None],
         return_battery: float,
+        max_airborne_s: float,
         planner_name: str,
     ) -> None:
         self._link = link
@@ -82,28 +102,32 @@ class Supervisor:
         self._progress = progress
         self._report_due_s = -math.inf
         self._return_battery = return_battery
+        self._max_airborne_s = max_airborne_s
         self._planner_name = planner_name
         self.state = self._before = State.PREPARING
         self.outcome = "failed"
         self.error: DronemonError | None = None
+        self.was_armed = self.is_down = False
         self._setback = Setback.NONE
         self._problem: DronemonError | None = None  # behind the setback
         self._down_by_s: float | None = None  # while it is on its way down
-        self._num_unheard = 0
-        self._was_armed = False
-        self._told: object = None  # the problem told last, while nothing succeeds
+        self._time_s = self._armed_s = 0.0  # vehicle time
+        self._off_ground_s = self._failsafe_s = -math.inf
+        self._was_position_lost = False
+        self._sure_at = 0  # number of the heartbeat from which "disarmed" is believed
+        self._offboard_since: int | None = None  # number of the heartbeat that showed it first
+        self._told: tuple[object, float] = (None, -math.inf)  # the problem told last, and when
         self._heard_at = math.inf
-        self._refused_since = math.inf
-        self._is_second_told = False
+        self._interrupts_told = 0
 
     # The mission's steps
 
     async def carry_out(self, state: State, step: Callable[[], Awaitable[object]]) -> bool:
         """Take a step of the mission, and see through what comes of it. -> whether it goes on."""
         self.state = state
-        if state is State.LAUNCHING:  # heartbeats are slow: it may be armed and not yet say so
-            self._num_unheard = _HEARTBEATS_TO_BE_SURE
         await self._attempt(step())
+        if state is State.LAUNCHING:  # heartbeats are slow: it may be armed and not yet say so
+            self._sure_at = self._link.num_heartbeats + 2
         return await self._see_through()
 
     async def come_home(self) -> None:
@@ -111,7 +135,8 @@ class Supervisor:
         while self.state is not State.ENDED:
             if self.state in MISSION:
                 self._leave_mission("failed", None)
-                self.state = State.RETURNING
+                is_ours = self.state is not State.PREPARING
+                self.state = State.RETURNING if is_ours else State.ENDED
             await self._see_through()
 
     def report(self, phase: str) -> None:
@@ -122,116 +147,137 @@ class Supervisor:
 
     async def _see_through(self) -> bool:
         """Do what the guard says until the mission may go on, or nothing is left to do."""
-        while (advice := self.ask()).action not in {Action.GO_ON, Action.END}:
-            if advice.action is not Action.LEAVE:
+        while self.state is not State.ENDED:
+            advice = self.ask()
+            if advice.action is Action.GO_ON:
+                return True
+            if advice.action not in {Action.LEAVE, Action.END}:
                 await self._attempt(self._do(advice.action))
-        return advice.action is Action.GO_ON
+        return False
 
     async def _attempt(self, step: Awaitable[object]) -> None:
-        """Take one step; what goes wrong is the next situation's setback."""
+        """Take one step; what goes wrong, be it our own fault, is the next situation's setback."""
         before = self.state
         try:
             await step
         except Interrupted:
-            pass  # the guard sees that a person asked
-        except DronemonError as exc:
-            if before in MISSION and self.state not in MISSION:
-                self._leave_mission("failed", exc)  # the guard had ended it already
-            elif before in HOMEWARD and self._num_unheard and not self._link.state.is_armed:
-                self._num_unheard = 0  # nothing more is heard of it
+            return  # the guard sees that a person asked
+        except Exception as exc:
+            if isinstance(exc, DronemonError):
+                problem = exc
             else:
-                self._meet(exc)
+                logging.getLogger(__name__).exception("in a flight")
+                problem = DronemonError(f"a fault of this program: {exc!r}")
+            if before in MISSION and self.state not in MISSION:
+                self._leave_mission("failed", problem)  # the guard had ended it already
+            else:
+                self._meet(problem)
         else:
-            self._heard_at, self._told = asyncio.get_running_loop().time(), None
+            self._heard_at, self._told = asyncio.get_running_loop().time(), (None, -math.inf)
+        if self._setback is Setback.FAILED and self.state not in MISSION:
+            await asyncio.sleep(_RETRY_S)
 
-    def _meet(self, exc: DronemonError) -> None:
-        """Make a setback of an error; on the way home the first of a kind is told."""
-        self._problem, self._down_by_s = exc, None
-        is_homeward = self.state in HOMEWARD
-        match exc:
+    def _meet(self, problem: DronemonError) -> None:
+        """Make a setback of an error; on the way home it is told, again and again."""
+        self._problem, self._down_by_s = problem, None
+        kind = "failure"
+        match problem:
             case ControlTaken():
-                self._setback = Setback.FAILSAFE if exc.by_failsafe else Setback.PILOT
+                self._setback = Setback.FAILSAFE if problem.by_failsafe else Setback.PILOT
+                self._failsafe_s = self._time_s
+                return  # told when the guard has judged it
             case LinkLost():
-                self._setback = Setback.LINK_LOST
-                if is_homeward:
-                    self._tell("link lost", exc)
+                self._setback, kind = Setback.LINK_LOST, "link lost"
             case CommandRejected() | CommandUnconfirmed():
                 self._setback = Setback.REFUSED
-                if is_homeward and math.isinf(self._refused_since):
-                    self._refused_since = asyncio.get_running_loop().time()
-                    self._tell("failure", exc)
+                self._was_position_lost &= self.state is not State.RETURNING
             case _:
                 self._setback = Setback.FAILED
+        if self.state not in MISSION:
+            self._tell(kind, problem)
 
     # Asking
 
-    def ask(self, *, is_horizon_flown: bool = False, is_planner_late: bool = False) -> Advice:
+    def ask(self, **patrol: Unpack[PatrolFacts]) -> Advice:
         """Ask the guard, tell what is new, and go over to the state that it gives."""
-        if self._interrupts.count and not self._is_second_told:
-            self._is_second_told = self._events.must_go_on = True
-            what = _SECOND.get(
-                self.state, "the drone comes home; Ctrl-C again lands it where it is"
-            )
-            self._events.note("interrupt", what)
-        situation = self._situation(is_horizon_flown, is_planner_late)
+        self._tell_interrupts()
+        situation = self._situation(patrol)
         advice = advise(situation)
         if advice.state is not self.state or situation.setback is Setback.FAILSAFE:
             self._change(advice)
         if advice.action is not Action.WATCH:
             self._down_by_s = None
         elif self._down_by_s is None:
-            self._down_by_s = self._link.time_s + LANDING_LIMIT_S
+            self._down_by_s = self._time_s + LANDING_LIMIT_S
         self.state, self._setback = advice.state, Setback.NONE
         return advice
 
-    def _situation(self, is_horizon_flown: bool, is_planner_late: bool) -> Situation:
-        state, now = self._link.state, asyncio.get_running_loop().time()
+    def _situation(self, patrol: PatrolFacts) -> Situation:
+        state, number = self._link.state, self._link.num_heartbeats
+        with contextlib.suppress(VehicleError):  # not heard yet
+            self._time_s = self._link.time_s
+        now_s = self._time_s
         if state.is_armed:
-            self._num_unheard = 0
-            self._was_armed = self._was_armed or self.state in HOMEWARD
+            self._sure_at = number + 2
+            if self.state is not State.PREPARING and not self.was_armed:
+                self.was_armed, self._armed_s = True, now_s
+        if state.landed is not Landed.ON_GROUND:
+            self._off_ground_s = now_s
+        self._was_position_lost |= not state.is_position_good
+        if state.mode is not Mode.OFFBOARD:
+            self._offboard_since = None
+        elif self._offboard_since is None:
+            self._offboard_since = number
+        is_on_ground = state.landed is Landed.ON_GROUND
         return Situation(
             state=self.state,
             before=self._before,
             setback=self._setback,
             is_armed=state.is_armed,
-            is_sure=not self._num_unheard,
-            is_on_ground=state.landed is Landed.ON_GROUND,
+            is_sure=number >= self._sure_at,
+            is_on_ground=is_on_ground,
+            is_on_ground_long=is_on_ground and now_s > self._off_ground_s + DISARM_LIMIT_S,
             is_position_good=state.is_position_good,
             is_battery_low=state.battery is not None and state.battery <= self._return_battery,
-            is_offboard=state.mode is Mode.OFFBOARD,
+            is_time_up=self.was_armed and now_s > self._armed_s + self._max_airborne_s,
+            is_offboard=self._offboard_since is not None and number > self._offboard_since,
+            is_holding=state.mode is Mode.HOLD,
             is_failsafe=state.is_failsafe,
+            is_failsafe_long=now_s > self._failsafe_s + FAILSAFE_HOLD_LIMIT_S,
             is_coming_down=state.mode in {Mode.RETURN, Mode.LAND},
+            is_position_back=state.is_position_good and self._was_position_lost,
             is_down_under_way=self._down_by_s is not None,
             times_interrupted=self._interrupts.count,
-            is_horizon_flown=is_horizon_flown,
-            is_planner_late=is_planner_late,
-            is_lost_for_long=now > self._heard_at + LOST_LINK_LIMIT_S,
-            is_refused_for_long=now > self._refused_since + FAILING_LIMIT_S,
+            is_lost_for_long=asyncio.get_running_loop().time() > self._heard_at + LOST_LINK_LIMIT_S,
+            **patrol,
         )
 
     def _change(self, advice: Advice) -> None:
         """Tell of a new state, and let go of the vehicle where it is in other hands."""
-        if self.state in MISSION and advice.state in HOMEWARD:
+        if self.state in MISSION and advice.state in {*HOMEWARD, State.ENDED}:
             self._leave_mission(_OUTCOMES.get(advice.reason, "failed"), self._error(advice.reason))
         elif advice.state is State.PILOT:
-            self._take_note("control taken")
-            self._before = self.state
-        elif advice.action is Action.END:
-            self._end(advice.reason)
-        elif self.state is State.PILOT:
+            self._let_go("control taken")
+        elif self.state is State.PILOT and advice.state is not State.ENDED:
             self._events.note("control given back", "the mode is offboard again")
             self._events.must_go_on = advice.state is not State.PATROLLING
             if self._before is State.LAUNCHING:  # too early to go on
                 self._leave_mission("failed", self._problem)
         elif self._setback is Setback.FAILSAFE:
-            self._take_note("failsafe")
-            self._before = self.state
+            self._let_go("failsafe")
+        if advice.action is Action.END:
+            self._end(advice.reason)
 
-    def _take_note(self, kind: str) -> None:
+    def _let_go(self, kind: str) -> None:
         """Somebody else chose the mode: from now on any is welcome."""
         self._events.must_go_on = True
+        if self._setback is Setback.NONE:
+            self._problem = ControlTaken(
+                f"mode '{self._link.state.mode}' is none that we asked for"
+            )
         self._tell(kind, self._problem, "WARN")
         self._link.release()
+        self._before = self.state
         self._heard_at = asyncio.get_running_loop().time()
 
     def _leave_mission(self, outcome: str, error: DronemonError | None) -> None:
@@ -243,31 +289,47 @@ class Supervisor:
             self._tell("failure", error)
 
     def _tell(self, kind: str, problem: DronemonError | None, level: Level = "ERROR") -> None:
-        """Tell a problem, once while it lasts."""
+        """Tell a problem, and again every few seconds while it lasts."""
+        now = asyncio.get_running_loop().time()
         is_same = LinkLost if isinstance(problem, LinkLost) else str(problem)
-        if is_same != self._told:
-            self._told = is_same
+        told, told_at = self._told
+        if is_same != told or now >= told_at + _REPEAT_S:
+            self._told = is_same, now
             self._events.note(kind, str(problem), level=level)
+
+    def _tell_interrupts(self) -> None:
+        count = self._interrupts.count
+        if count == self._interrupts_told:
+            return
+        self._interrupts_told, self._events.must_go_on = count, True
+        what = "the drone comes home; Ctrl-C again lands it where it is"
+        if count > 1:
+            what = "the drone lands where it is; a third ends the program if it obeys nothing"
+        self._events.note("interrupt", _INTERRUPTS.get(self.state, what))
 
     def _error(self, reason: Reason) -> DronemonError | None:
         """The error that ends a mission for this reason; None if it is none."""
         if self._setback is not Setback.NONE:
             return self._problem
+        if reason in _OUTCOMES:
+            return None
         if reason is Reason.PLANNER_LATE:
             return PlannerError(
                 f"no waypoint from planner '{self._planner_name}' for {PLANNER_LIMIT_S:g} s of "
                 "vehicle time after it was due; the drone returns"
             )
-        return None if reason in _OUTCOMES else VehicleError(str(reason))
+        error = CameraError if reason is Reason.BLIND else VehicleError
+        return error(f"{reason} ({self._link.state.describe()})")
 
     def _end(self, reason: Reason) -> None:
+        """The last state is known: what the program says from now on is about the past."""
         if self.state is State.PILOT and self._before in MISSION:
             self.outcome = _OUTCOMES.get(reason, "failed")
-        if reason in _GIVEN_UP:
+        if reason in {Reason.LOST_FOR_GOOD, Reason.LEFT}:
             self.error = self.error or self._problem
-            if reason is Reason.BROKEN or self.state is State.PILOT:  # else told before
-                self._tell("failure", self._problem)
-        elif reason is Reason.MOTORS_OFF and self._was_armed:
+        is_heard = reason not in {Reason.LOST_FOR_GOOD, Reason.LEFT}
+        self.is_down = is_heard and not self._link.state.is_armed
+        if self.is_down and self.was_armed:
             self._events.note("disarmed", str(reason))
 
     # Doing
@@ -289,7 +351,6 @@ class Supervisor:
         match action:
             case Action.LISTEN:
                 await self._link.next_heartbeat()
-                self._num_unheard = max(self._num_unheard - 1, 0)
             case Action.WATCH:
                 await self._watch()
             case Action.OFFER:

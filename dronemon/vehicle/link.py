@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import Literal, Protocol
 
 from dronemon.frames import GeoPoint
 from dronemon.types import Pose, Vector3
@@ -74,6 +74,16 @@ class VehicleState:
     num_unreadable: int = 0
     """Messages left out, since they hold what cannot be, such as a number that is none."""
 
+    def describe(self) -> str:
+        """The state in words."""
+        words = [
+            f"mode '{self.mode}'",
+            "armed" if self.is_armed else "disarmed",
+            str(self.landed),
+            "battery unknown" if self.battery is None else f"battery {self.battery:.0%}",
+        ]
+        return ", ".join(words)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setpoint:
@@ -91,6 +101,11 @@ class StatusText:
     severity: int
     """MAVLink's: from 0, emergency, to 7, debug; 4 is a warning."""
     text: str
+
+    @property
+    def level(self) -> Literal["INFO", "WARN", "ERROR"]:
+        """How loud it is to be told."""
+        return "ERROR" if self.severity <= 3 else "WARN" if self.severity == 4 else "INFO"
 
 
 class VehicleLink(Protocol):
@@ -157,6 +172,10 @@ class VehicleLink(Protocol):
     @property
     def heartbeat_age_s(self) -> float:
         """Wall time since the last heartbeat: the age of mode and armed state."""
+
+    @property
+    def num_heartbeats(self) -> int:
+        """How many heartbeats of the autopilot were heard."""
 
     async def next_heartbeat(self) -> None:
         """Wait for the next heartbeat: what it says of mode and arming is fresh."""

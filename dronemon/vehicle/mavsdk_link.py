@@ -116,6 +116,11 @@ class MavsdkLink:
         """Wait, without a limit, until the autopilot says something."""
         return await self._heard.next_texts()
 
+    @property
+    def num_heartbeats(self) -> int:
+        """How many heartbeats of the autopilot were heard."""
+        return self._telemetry.num_heartbeats
+
     async def next_heartbeat(self) -> None:
         """Wait for the next heartbeat."""
         await self._heard.next_heartbeat()

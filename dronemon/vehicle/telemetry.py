@@ -14,7 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from dronemon.errors import VehicleError
+from dronemon.errors import CameraError
 from dronemon.frames import GeoPoint
 from dronemon.types import Pose, Vector3
 from dronemon.vehicle.link import Landed, Mode, StatusText, VehicleState
@@ -129,7 +129,7 @@ class Telemetry:
         for index in range(len(self._poses) - 1, 0, -1):
             if self._poses[index - 1].time_s <= time_s:
                 return self._poses[index - 1], self._poses[index]
-        raise VehicleError(
+        raise CameraError(
             f"no pose is kept for vehicle time {time_s:.2f} s, the oldest is of "
             f"{self._poses[0].time_s:.2f} s; the picture is too old to be placed"
         )
