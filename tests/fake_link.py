@@ -425,6 +425,9 @@ class FakeLink:
     async def land(self) -> None:
         await self._change_mode("land", Mode.LAND)
 
+    def reclaim(self) -> None:
+        self._expected = frozenset({Mode.OFFBOARD})
+
     def release(self) -> None:
         self._expected = None
 

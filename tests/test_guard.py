@@ -54,16 +54,16 @@ BEFORE = {
 def _facts(state: State) -> Iterator[dict[str, bool]]:
     """What telemetry may say in a state: all combinations, on the mission of two that are odd."""
     if state in MISSION:
-        usual = {
-            name: name in {"is_sure", "is_on_ground", "is_position_good"} for name in MISSION_FACTS
-        }
+        good = {"is_sure", "is_on_ground", "is_position_good"}
+        usual = {name: name in good for name in MISSION_FACTS}
         for odd in itertools.chain.from_iterable(
             itertools.combinations(MISSION_FACTS, number) for number in range(3)
         ):
             yield usual | {name: not usual[name] for name in odd}
         return
     flags = [({flag: False}, {flag: True}) for flag in HOME_FLAGS]
-    for parts in itertools.product(MODES, GROUND, FAILSAFES, *flags):
+    ground = GROUND if state in HOMEWARD else GROUND[:1]
+    for parts in itertools.product(MODES, ground, FAILSAFES, *flags):
         yield {name: value for part in parts for name, value in part.items()}
 
 
@@ -72,7 +72,10 @@ def _situations(state: State) -> Iterator[Situation]:
     setbacks = [(setback, False) for setback in Setback] + [(Setback.LINK_LOST, True)]
     for facts in _facts(state):
         for before, (setback, is_lost), is_armed, times in itertools.product(
-            BEFORE.get(state, (state,)), setbacks, (False, True), range(4)
+            BEFORE.get(state, (state,)),
+            setbacks,
+            (False, True),
+            (0, 1) if state in MISSION else (0, 2, 3),
         ):
             yield Situation(
                 state=state,

@@ -82,6 +82,7 @@ class _Flight:
         supervisor = self._supervisor
         async with contextlib.AsyncExitStack() as self._exit:  # closes the camera
             async with asyncio.TaskGroup() as self._meanwhile:
+                listening = self._meanwhile.create_task(self._tell_texts(), name="texts")
                 try:
                     if await supervisor.carry_out(
                         State.PREPARING, self._prepare
@@ -91,6 +92,7 @@ class _Flight:
                 finally:
                     await supervisor.come_home()
                     await self._leave_in_hold()
+                    listening.cancel()
             self._events.note("outcome", supervisor.outcome)
         return FlightResult(
             outcome=supervisor.outcome,
@@ -221,9 +223,7 @@ class _Flight:
     # Telling
 
     def _progress(self, phase: str) -> None:
-        """Tell how far the flight is, and what the autopilot said since the last time."""
-        for said in self._link.texts():
-            self._events.note("autopilot", said.text, level=said.level)
+        """Tell how far the flight is."""
         if self._patrol is not None:
             self._events.emit(self._patrol.progress(phase))
             return
@@ -235,6 +235,13 @@ class _Flight:
                 since_seen_s={target.name: None for target in self._mission.targets},
             )
         )
+
+    async def _tell_texts(self) -> None:
+        """Tell what the autopilot says when it says it."""
+        with contextlib.suppress(Exception):  # nothing may disturb the flight
+            while True:
+                for said in await self._link.next_texts():
+                    self._events.note("autopilot", said.text, level=said.level)
 
     def _distance_from_home_m(self) -> float | None:
         if self._home_ned_m is None or not self._link.state.is_position_good:

@@ -260,6 +260,7 @@ class Supervisor:
             self._let_go("control taken")
         elif self.state is State.PILOT and advice.state is not State.ENDED:
             self._events.note("control given back", "the mode is offboard again")
+            self._link.reclaim()
             self._events.must_go_on = advice.state is not State.PATROLLING
             if self._before is State.LAUNCHING:  # too early to go on
                 self._leave_mission("failed", self._problem)

@@ -182,3 +182,6 @@ class VehicleLink(Protocol):
 
     def release(self) -> None:
         """From now on any mode is welcome: whoever chose it is in control."""
+
+    def reclaim(self) -> None:
+        """From now on offboard alone is welcome: the pilot chose it, to give control back."""

@@ -339,6 +339,10 @@ class MavsdkLink:
         """Begin to land here."""
         await self._change_mode(Mode.LAND)
 
+    def reclaim(self) -> None:
+        """From now on offboard alone is welcome."""
+        self._modes.expect(Mode.OFFBOARD)
+
     def release(self) -> None:
         """From now on any mode is welcome."""
         self._modes.release()
