@@ -128,10 +128,12 @@ def fly_command(
 
     result, summary = asyncio.run(assemble_and_fly(checked, follow, out))
     console.print(facts_table(checked.mission.name, facts(summary)))
+    if result.last_seen is not None:
+        print_error(result.last_seen.words)
     if result.error is not None:  # told when it happened
         raise typer.Exit(result.error.exit_code)
     if not result.is_landed:
-        raise VehicleError("the drone is still armed, and the pilot's")
+        raise typer.Exit(VehicleError.exit_code)
     raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else 0)
 
 

@@ -76,6 +76,7 @@ class _Flight:
             planner_name=setup.planner.name,
         )
         self._patrol: Patrol | None = None
+        self._rest: asyncio.Task[None] | None = None
         self._home_ned_m: Vector3 | None = None  # where it was armed: PX4 moves home at landing
 
     async def run(self) -> FlightResult:
@@ -201,11 +202,15 @@ class _Flight:
         self._events.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
 
     async def _fly_patrol(self) -> None:
-        """Patrol; what was taken at the horizon is looked at on the way home."""
+        """Patrol; what was taken and not looked at by its end is looked at on the way home."""
         assert self._patrol is not None  # it is prepared
-        await self._patrol.run()
-        if self._supervisor.outcome == "completed":
-            self._meanwhile.create_task(self._look_at_the_rest(self._patrol), name="rest")
+        if self._rest is not None:
+            self._rest.cancel()  # the patrol goes on, and looks itself
+        try:
+            await self._patrol.run()
+        finally:
+            rest = self._look_at_the_rest(self._patrol)
+            self._rest = self._meanwhile.create_task(rest, name="rest")
 
     async def _look_at_the_rest(self, patrol: Patrol) -> None:
         try:

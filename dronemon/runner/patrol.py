@@ -10,15 +10,11 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections import deque
 from functools import partial
 
-import numpy as np
-
 from dronemon.arena import ARENA
-from dronemon.camera import check_picture
-from dronemon.errors import CameraError, PlannerError
-from dronemon.events import Believed, Decided, EventStream, Measured, Moved, Pictured, Progressed
+from dronemon.errors import PlannerError
+from dronemon.events import Decided, EventStream, Moved, Progressed
 from dronemon.frames import AreaFrame
 from dronemon.guard import Action
 from dronemon.guidance import Carrot
@@ -28,23 +24,16 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.preparation import FlightSetup, make_belief
+from dronemon.runner.observer import Observer
+from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
 from dronemon.runner.tally import Tally
-from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
+from dronemon.types import FloatArray, Picture, Pose
 from dronemon.vehicle import Setpoint
-from dronemon.vision.observe import observe
-from dronemon.vision.project import interpolate_pose
-from dronemon.viz import belief_grid_au
 
 SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
 _MAX_PENDING = 4
-_LOOK_LIMIT_S = 3.0
-"""Wall time for the detector."""
-BLIND_LIMIT_S = 30.0
-"""Vehicle time without a picture that says anything, and the number that may fail in a row."""
-_BLIND_PICTURES = 3
 _SLOW_PLANNER_S = 1.0
 _OFF_HEIGHT_S = 3.0
 """Vehicle time for which the drone may be far from its height."""
@@ -71,9 +60,8 @@ class Patrol:
         self._events = events
         self._frame = frame
         self._roadmap = roadmap
-        self._belief = make_belief(self._mission, setup.priors_au)
+        self._observer = Observer(setup, events, frame)
         self._names = tuple(target.name for target in self._mission.targets)
-        self._appearances = [target.appearance for target in self._mission.targets]
         self._horizon_m = self._mission.horizon_au * frame.side_m
         self._num_pictures = math.floor(self._mission.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-6)
         self._down_m = frame.ground_down_m - self._mission.flight.altitude_m
@@ -81,14 +69,9 @@ class Patrol:
         self._node: int | None = 0
         self._last_pose: Pose | None = None
         self._last_setpoint_s = -math.inf
-        self._unseen: deque[Picture] = deque()  # taken and not yet looked at
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_asked = self._is_slowness_told = False
         self._at_height_s = 0.0
-        self._pictured_s = -math.inf  # vehicle time of the newest picture
-        self._blind_since_s: float | None = None
-        self._num_blind = 0
-        self._grid_au = belief_grid_au()
         self.tally: Tally | None = None
 
     async def run(self) -> None:
@@ -98,18 +81,16 @@ class Patrol:
         """
         pose = self._link.pose
         self._set_out(pose)
-        self._at_height_s, self._blind_since_s = pose.time_s, None
+        self._at_height_s = pose.time_s
         self._last_pose, self._waiting_since = None, None
         self._is_waypoint_asked = False
-        self._work: asyncio.Queue[Picture | None] = asyncio.Queue(_MAX_PENDING)
-        self._picture_due = asyncio.Event()
-        self._is_taking = False
-        self._unseen.clear()
+        self._work: asyncio.Queue[Picture | None] = asyncio.Queue(2 * _MAX_PENDING)
+        self._observer.resume(self._work)
         await self._link.start_offboard(self._setpoint(pose.position_ned_m[:2], (0.0, 0.0)))
         try:
             async with asyncio.TaskGroup() as group:
                 others = [
-                    group.create_task(self._photograph(), name="photograph"),
+                    group.create_task(self._observer.photograph(self._work), name="photograph"),
                     group.create_task(self._watch(), name="watch"),
                 ]
                 await self._guide()
@@ -143,9 +124,7 @@ class Patrol:
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
                 is_off_height=self._is_off_height(pose),
-                is_blind=self._blind_since_s is not None
-                and self._num_blind >= _BLIND_PICTURES
-                and pose.time_s > self._blind_since_s + BLIND_LIMIT_S,
+                is_blind=self._observer.is_blind(pose.time_s),
             )
             if advice.action is not Action.GO_ON:
                 return
@@ -179,7 +158,7 @@ class Patrol:
             self.tally is not None
             and self.tally.flown_m >= self._horizon_m
             and self.tally.num_pictures_due >= self._num_pictures
-            and not (self._picture_due.is_set() or self._is_taking)
+            and not self._observer.is_taking
         )
 
     def _is_off_height(self, pose: Pose) -> bool:
@@ -223,38 +202,10 @@ class Patrol:
         ahead_m = 0.5 * SETPOINT_INTERVAL_S * pose.ground_speed_m_s
         if tally.num_pictures_due < self._num_pictures and tally.flown_m + ahead_m >= due_m:
             tally.num_pictures_due += 1
-            self._picture_due.set()
+            self._observer.ask()
         tally.cross_track_m.append(self._carrot.cross_track_m(pose.position_ned_m[:2]))
 
-    # Pictures
-
-    async def _photograph(self) -> None:
-        while True:
-            await self._picture_due.wait()
-            self._picture_due.clear()
-            self._is_taking = True
-            try:
-                picture = await self._setup.camera.capture()
-                camera, now_s = self._mission.camera.model, self._link.time_s
-                check_picture(picture, camera, now_s, self._pictured_s)
-            except CameraError as exc:
-                self._miss(exc)
-            else:
-                self._pictured_s = picture.time_s
-                self._unseen.append(picture)
-                await self._work.put(picture)
-            finally:
-                self._is_taking = False
-
-    def _miss(self, exc: CameraError) -> None:
-        """A picture that says nothing: for a while the beliefs do without."""
-        if self._blind_since_s is None:
-            self._blind_since_s, self._num_blind = self._link.time_s, 0
-            what = f"{exc}; the patrol goes on without for {BLIND_LIMIT_S:g} s at most"
-            self._events.note("camera", what, level="WARN")
-        self._num_blind += 1
-
-    # What is seen, believed and chosen
+    # What is seen and chosen
 
     async def _watch(self) -> None:
         while True:
@@ -262,82 +213,18 @@ class Patrol:
             if work is None:
                 await self._choose()
             else:
-                await self._look_or_miss(work)
+                await self._observer.look(work)
 
     async def look_at_the_rest(self) -> None:
         """Look at the pictures that were taken and not yet looked at when the patrol ended."""
-        while self._unseen:
-            await self._look_or_miss(self._unseen[0])
-
-    async def _look_or_miss(self, picture: Picture) -> None:
-        try:
-            await self._look(picture)
-        except CameraError as exc:
-            self._unseen.popleft()
-            self._miss(exc)
-
-    async def _look(self, picture: Picture) -> None:
-        tally = self.tally
-        assert tally is not None  # pictures are asked for only once the patrol has begun
-        before, after = await self._link.poses_around(picture.time_s)
-        pose = interpolate_pose(before, after, picture.time_s)
-        time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
-        look = partial(self._detect, picture, pose, time_au)
-        detections, measurement, score = await in_daemon_thread(
-            look, "the detector", CameraError, _LOOK_LIMIT_S
-        )
-        self._events.emit(
-            Measured(
-                time_s=picture.time_s,
-                measurement=measurement,
-                score=score,
-                battery=self._link.state.battery,
-                cross_track_m=tally.cross_track_m[-1] if tally.cross_track_m else None,
-            )
-        )
-        tally.times_s.append(picture.time_s)
-        for name, is_seen in zip(self._names, measurement.seen, strict=True):
-            if is_seen:
-                tally.last_seen_s[name] = picture.time_s
-        self._unseen.popleft()
-        self._blind_since_s = None
-        self._belief.sightings.add(measurement)
-        if self._mission.record.pictures:
-            self._events.emit(Pictured(picture=picture, detections=detections, pose=pose))
-        await self._show_beliefs(picture.time_s, measurement.time_au)
-
-    def _detect(
-        self, picture: Picture, pose: Pose, time_au: float
-    ) -> tuple[tuple[Detection, ...], Measurement, FloatArray]:
-        """What the detector finds, what that says of the targets, (N,) how surely. In a thread."""
-        find, ground_down_m = self._setup.detector.detect, self._frame.ground_down_m
-        detections = tuple(find(picture.image, pose, ground_down_m))
-        measurement = observe(
-            detections,
-            pose=pose,
-            camera=self._mission.camera.model,
-            frame=self._frame,
-            appearances=self._appearances,
-            time_au=time_au,
-        )
-        best = {d.appearance: d.score for d in sorted(detections, key=lambda d: d.score)}
-        scores = [float(best.get(appearance, np.nan)) for appearance in self._appearances]
-        return detections, measurement, np.where(measurement.seen, scores, np.nan)
-
-    async def _show_beliefs(self, time_s: float, time_au: float) -> None:
-        rows, columns, _ = self._grid_au.shape
-        query = np.concatenate(
-            [self._grid_au.reshape(-1, 2), np.full((rows * columns, 1), time_au)], axis=-1
-        )
-        mean, std = await asyncio.to_thread(self._belief.posterior, query)
-        shape = (-1, rows, columns)
-        self._events.emit(Believed(time_s=time_s, mean=mean.reshape(shape), std=std.reshape(shape)))
+        await self._observer.look_at_the_rest()
 
     async def _choose(self) -> None:
         """Ask the planner, tell what it chose, and lengthen the path by it."""
         now_s = self._link.time_s
         if self.tally is None:
-            self.tally = Tally(start_s=now_s, sightings=self._belief.sightings)
+            self.tally = Tally(start_s=now_s, sightings=self._observer.belief.sightings)
+            self._observer.tally = self.tally
             self._events.note("patrol", "the patrol begins")
         snapshot = self._snapshot(self.tally, now_s)
         began = time.perf_counter()
@@ -385,8 +272,8 @@ class Patrol:
             flown_au=flown_au + ahead_au,
             position_au=self._waypoint_au.copy(),
             node=self._node,
-            sightings=self._belief.sightings,
-            belief=self._belief,
+            sightings=self._observer.belief.sightings,
+            belief=self._observer.belief,
             roadmap=self._roadmap,
             remaining_au=max(self._mission.horizon_au - flown_au - ahead_au, 0.0),
         )

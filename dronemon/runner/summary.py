@@ -12,6 +12,7 @@ from dronemon.belief import Belief, Matern32
 from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.runner.flight import FlightResult
+from dronemon.runner.last_seen import LastSeen
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray
@@ -57,6 +58,7 @@ class Summary:
 
     outcome: str
     is_landed: bool
+    last_seen: LastSeen | None
     landing_error_m: float | None
     error: str | None
     flown: Flown | None
@@ -66,6 +68,8 @@ class Summary:
         """Every figure by name, as summary.json has them after the outcome."""
         parts = [asdict(part) for part in (self.flown, self.score) if part is not None]
         head = {name: getattr(self, name) for name in ("is_landed", "landing_error_m", "error")}
+        if self.last_seen is not None:
+            head["last_seen"] = asdict(self.last_seen)
         return head | {name: value for part in parts for name, value in part.items()}
 
 
@@ -85,6 +89,7 @@ def summarise(
     return Summary(
         outcome=result.outcome,
         is_landed=result.is_landed,
+        last_seen=result.last_seen,
         landing_error_m=result.landing_error_m,
         error=str(result.error) if result.error else None,
         flown=_flown(tally, side_m, target_names) if tally else None,

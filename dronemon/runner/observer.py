@@ -1,0 +1,173 @@
+"""Takes a picture when one is due, looks at it, and tells the beliefs what it shows."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from functools import partial
+
+import numpy as np
+
+from dronemon.camera import check_picture
+from dronemon.errors import CameraError
+from dronemon.events import Believed, EventStream, Measured, Pictured
+from dronemon.frames import AreaFrame
+from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.preparation import FlightSetup, make_belief
+from dronemon.runner.tally import Tally
+from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
+from dronemon.vision.observe import observe
+from dronemon.vision.project import interpolate_pose
+from dronemon.viz import belief_grid_au
+
+BLIND_LIMIT_S = 30.0
+"""Vehicle time for which the patrol goes on while no picture says anything, ..."""
+_BLIND_PICTURES = 3
+"""... and number of pictures that must have failed by then."""
+_LOOK_LIMIT_S = 3.0
+"""Wall time for the detector."""
+
+
+class Observer:
+    """The patrol's eyes; `tally` is given when it begins.
+
+    belief: what the pictures have told so far.
+    """
+
+    def __init__(self, setup: FlightSetup, events: EventStream, frame: AreaFrame) -> None:
+        self._setup = setup
+        self._mission = setup.file.mission
+        self._link = setup.link
+        self._events = events
+        self._frame = frame
+        self._names = tuple(target.name for target in self._mission.targets)
+        self._appearances = [target.appearance for target in self._mission.targets]
+        self._grid_au = belief_grid_au()
+        self._unseen: deque[Picture] = deque()  # taken and not yet looked at
+        self._pictured_s = -math.inf  # vehicle time of the newest picture
+        self._blind_since_s: float | None = None
+        self._num_blind = 0
+        self._due = asyncio.Event()
+        self._is_taking = False
+        self.belief = make_belief(self._mission, setup.priors_au)
+        self.tally: Tally | None = None
+
+    @property
+    def is_taking(self) -> bool:
+        """Whether a picture is due or under way."""
+        return self._is_taking or self._due.is_set()
+
+    def is_blind(self, now_s: float) -> bool:
+        """Whether pictures have said nothing for too long."""
+        since_s = self._blind_since_s
+        is_long = since_s is not None and now_s > since_s + BLIND_LIMIT_S
+        return is_long and self._num_blind >= _BLIND_PICTURES
+
+    def ask(self) -> None:
+        """A picture is due now."""
+        self._due.set()
+
+    def resume(self, work: asyncio.Queue[Picture | None]) -> None:
+        """Forget how long nothing was seen, but not what was taken."""
+        self._blind_since_s, self._is_taking = None, False
+        self._due.clear()
+        for picture in self._unseen:
+            work.put_nowait(picture)
+
+    async def photograph(self, work: asyncio.Queue[Picture | None]) -> None:
+        """Take every picture that is asked for, and hand it on."""
+        while True:
+            await self._due.wait()
+            self._due.clear()
+            self._is_taking = True
+            try:
+                picture = await self._setup.camera.capture()
+                now_s, last_s = self._link.time_s, self._pictured_s
+                check_picture(picture, self._mission.camera.model, now_s, last_s)
+            except CameraError as exc:
+                self._miss(exc)
+            else:
+                self._pictured_s = picture.time_s
+                self._unseen.append(picture)
+                await work.put(picture)
+            finally:
+                self._is_taking = False
+
+    def _miss(self, exc: CameraError) -> None:
+        """A picture says nothing: for a while the beliefs do without."""
+        if self._blind_since_s is None:
+            self._blind_since_s, self._num_blind = self._link.time_s, 0
+            what = f"{exc}; the patrol goes on without for {BLIND_LIMIT_S:g} s at most"
+            self._events.note("camera", what, level="WARN")
+        self._num_blind += 1
+
+    async def look_at_the_rest(self) -> None:
+        """Look at the pictures that were taken and not yet looked at when the patrol ended."""
+        while self._unseen:
+            await self.look(self._unseen[0])
+
+    async def look(self, picture: Picture) -> None:
+        """Look at the oldest picture taken. One that says nothing is told, and counts."""
+        try:
+            await self._look(picture)
+        except CameraError as exc:
+            self._unseen.popleft()
+            self._miss(exc)
+
+    async def _look(self, picture: Picture) -> None:
+        tally = self.tally
+        assert tally is not None  # pictures are asked for only once the patrol has begun
+        before, after = await self._link.poses_around(picture.time_s)
+        pose = interpolate_pose(before, after, picture.time_s)
+        time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
+        look = partial(self._detect, picture, pose, time_au)
+        detections, measurement, score = await in_daemon_thread(
+            look, "the detector", CameraError, _LOOK_LIMIT_S
+        )
+        self._events.emit(
+            Measured(
+                time_s=picture.time_s,
+                measurement=measurement,
+                score=score,
+                battery=self._link.state.battery,
+                cross_track_m=tally.cross_track_m[-1] if tally.cross_track_m else None,
+            )
+        )
+        tally.times_s.append(picture.time_s)
+        for name, is_seen in zip(self._names, measurement.seen, strict=True):
+            if is_seen:
+                tally.last_seen_s[name] = picture.time_s
+        self._unseen.popleft()
+        self._blind_since_s = None
+        self.belief.sightings.add(measurement)
+        if self._mission.record.pictures:
+            self._events.emit(Pictured(picture=picture, detections=detections, pose=pose))
+        await self._show_beliefs(picture.time_s, measurement.time_au)
+
+    def _detect(
+        self, picture: Picture, pose: Pose, time_au: float
+    ) -> tuple[tuple[Detection, ...], Measurement, FloatArray]:
+        """What the detector finds, what that says of the targets, (N,) how surely. In a thread."""
+        find, ground_down_m = self._setup.detector.detect, self._frame.ground_down_m
+        detections = tuple(find(picture.image, pose, ground_down_m))
+        measurement = observe(
+            detections,
+            pose=pose,
+            camera=self._mission.camera.model,
+            frame=self._frame,
+            appearances=self._appearances,
+            time_au=time_au,
+        )
+        best = {d.appearance: d.score for d in sorted(detections, key=lambda d: d.score)}
+        scores = [float(best.get(appearance, np.nan)) for appearance in self._appearances]
+        return detections, measurement, np.where(measurement.seen, scores, np.nan)
+
+    async def _show_beliefs(self, time_s: float, time_au: float) -> None:
+        rows, columns, _ = self._grid_au.shape
+        query = np.concatenate(
+            [self._grid_au.reshape(-1, 2), np.full((rows * columns, 1), time_au)], axis=-1
+        )
+        mean, std = await asyncio.to_thread(self.belief.posterior, query)
+        shape = (-1, rows, columns)
+        self._events.emit(Believed(time_s=time_s, mean=mean.reshape(shape), std=std.reshape(shape)))
