@@ -8,7 +8,7 @@ import pytest
 from messages import HEARTBEAT, HOME, READY, attitude, pose, posed, position
 from pymavlink.dialects.v20 import common as mavlink
 
-from dronemon.errors import VehicleError
+from dronemon.errors import CameraError
 from dronemon.vehicle import Landed, Mode
 from dronemon.vehicle.px4 import MODES
 from dronemon.vehicle.telemetry import Telemetry
@@ -225,5 +225,5 @@ def test_a_jump_that_the_velocity_does_not_explain_is_a_reset():
 def test_poses_around_an_instant():
     telemetry = posed(1.0, 1.1, 1.2)
     assert [pose.time_s for pose in telemetry.poses_around(1.15)] == [1.1, 1.2]
-    with pytest.raises(VehicleError, match=r"no pose is kept for vehicle time 0.50 s"):
+    with pytest.raises(CameraError, match=r"no pose is kept for vehicle time 0.50 s"):
         telemetry.poses_around(0.5)
