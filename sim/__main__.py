@@ -38,6 +38,7 @@ from sim.follow import Follower
 from sim.world import TruthFile, World
 
 _LOG = logging.getLogger("sim")
+_KEY_BYTES = 32
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -72,7 +73,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
             await stack.enter_async_context(simulated)
         else:
             simulated = MockFlight(mission, world, tuple(options.fault))
-            await simulated.open_links(options.mavlink_out)
+            await simulated.open_links(options.mavlink_out, options.signing_key)
             stack.callback(simulated.close_links)
         camera = CameraServer(model, seed, simulated.scene, truth.write, simulated.active_faults)
         if isinstance(simulated, Follower):
@@ -149,6 +150,12 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         metavar="udpin://IP:PORT",
         help="no autopilot: world and camera follow the vehicle heard there",
     )
+    parser.add_argument(
+        "--signing-key",
+        type=_checked(_signing_key),
+        metavar="FILE",
+        help="32 bytes; sign what is sent and hear only what is signed (MAVLink 2)",
+    )
     parser.add_argument("--parent", action="store_true", help="end when stdin closes")
     options = parser.parse_args(arguments)
     if options.follow is None and not options.mavlink_out:
@@ -180,6 +187,16 @@ def _address(text: str) -> tuple[str, int]:
             f"{text!r} is not IP:PORT on loopback, such as 127.0.0.1:14540"
         )
     return match[1], int(match[2])
+
+
+def _signing_key(text: str) -> bytes:
+    try:
+        key = Path(text).read_bytes()
+    except OSError as exc:
+        raise ValueError(f"{text}: cannot be read: {exc}") from exc
+    if len(key) != _KEY_BYTES:
+        raise ValueError(f"{text} has {len(key)} bytes; a key has {_KEY_BYTES}")
+    return key
 
 
 def _speed_up(text: str) -> float:

@@ -99,12 +99,14 @@ class MockFlight:
         pose = self.autopilot.body.pose(self.autopilot.time_s)
         return self._world.scene(pose, self._frame)
 
-    async def open_links(self, remotes: list[tuple[str, int]]) -> None:
-        """Stream to these addresses from now on."""
+    async def open_links(
+        self, remotes: list[tuple[str, int]], signing_key: bytes | None = None
+    ) -> None:
+        """Stream to these addresses from now on, signed if there is a key."""
         loop = asyncio.get_running_loop()
         for remote in remotes:
             faults, rng = self.active_faults, self._line_rng
-            link = partial(MavlinkLink, self.autopilot, remote, faults, rng)
+            link = partial(MavlinkLink, self.autopilot, remote, faults, rng, signing_key)
             endpoint = await loop.create_datagram_endpoint(link, local_addr=("127.0.0.1", 0))
             self._links.append(endpoint[1])
 

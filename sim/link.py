@@ -7,6 +7,7 @@ everyone who writes to it may command.
 from __future__ import annotations
 
 import asyncio
+import math
 import random
 import time
 from collections import deque
@@ -35,6 +36,8 @@ from sim.streams import STREAMS, Builder
 _DATAGRAM_BYTES = 1200
 _CHUNK_BYTES = 50
 _GCS_TIMEOUT_S = 3.0
+_SIGNING_EPOCH_S = 1_420_070_400
+"""1 January 2015, from which MAVLink's signatures count in 10 microseconds."""
 
 
 class _Stream:
@@ -51,8 +54,9 @@ class _Stream:
 class MavlinkLink(asyncio.DatagramProtocol):
     """One UDP link to `remote`.
 
-    faults: kinds that are active now -> value
-    rng:    by which faults of the line happen
+    faults:      kinds that are active now -> value
+    rng:         by which faults of the line happen
+    signing_key: 32 bytes; with it all is signed, and only what is signed is heard
     """
 
     def __init__(
@@ -61,6 +65,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
         remote: tuple[str, int],
         faults: Mapping[str, float],
         rng: random.Random,
+        signing_key: bytes | None = None,
     ) -> None:
         self._autopilot = autopilot
         self._remote = remote
@@ -68,6 +73,10 @@ class MavlinkLink(asyncio.DatagramProtocol):
         self._inward, self._outward = FaultyLine(faults, rng), FaultyLine(faults, rng)
         self._mav = mavlink.MAVLink(None, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._mav.robust_parsing = True
+        if signing_key is not None:
+            signing = self._mav.signing
+            signing.secret_key, signing.sign_outgoing = signing_key, True
+            signing.timestamp = round((time.time() - _SIGNING_EPOCH_S) * 1e5)
         self._gcs_heard_s = -_GCS_TIMEOUT_S
         self._buffer = bytearray()
         self._transport: asyncio.DatagramTransport | None = None
@@ -170,6 +179,10 @@ class MavlinkLink(asyncio.DatagramProtocol):
         kind = message.get_type()
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
             self._obey(message)
+        elif kind == "SET_MODE" and "reject" not in self._faults:
+            mode = (message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
+            params = (float(message.base_mode), *map(float, mode), *[math.nan] * 4)
+            execute(self._autopilot, Command(number=mavlink.MAV_CMD_DO_SET_MODE, params=params))
         elif kind.startswith("SET_POSITION_TARGET"):
             self._take_setpoint(message)
         elif kind.startswith("PARAM_"):

@@ -9,6 +9,7 @@ import pytest
 from dronemon.errors import MissionFileError
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
 from dronemon.mission.addresses import mavlink_url_problem
+from dronemon.mission.faults import KINDS
 from dronemon.mission.template import mission_template
 from dronemon.preflight import load_checked
 from dronemon.types import APPEARANCES
@@ -279,3 +280,15 @@ def test_a_mission_to_start_from_says_what_the_schema_says(tmp_path: Path):
         for key, field in getattr(section.annotation, "model_fields", {}).items():
             assert f"{key}: " in path.read_text()
             assert field.description in path.read_text()
+
+
+def test_every_kind_of_fault_is_in_the_guide():
+    guide = (ROOT / "docs" / "flying.md").read_text()
+    assert [kind for kind in KINDS if f"`{kind}`" not in guide and f"`{kind}=" not in guide] == []
+
+
+def test_a_wrong_fault_is_named_with_its_line(tmp_path: Path):
+    text = ANIMALS + "\nsimulation:\n  faults: [gps@3, storm@4]\n"
+    message = _error(tmp_path, text)
+    assert "simulation.faults" in message
+    assert "'storm@4' is not KIND[=VALUE]" in message

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -78,7 +77,9 @@ def upload_fence(vehicle: Autopilot, *areas: tuple[int, list[tuple[float, float]
             at = HOME_NED_M[0] + north, HOME_NED_M[1] + east, 0.0
             latitude, longitude, _ = vehicle.map.to_geo(at)
             x, y = round(latitude * 1e7), round(longitude * 1e7)
-            items.append(SimpleNamespace(command=number, param1=float(len(corners)), x=x, y=y))
+            rest = (float(len(corners)), 0.0, 0.0, 0.0, x, y, 0.0, FENCE)
+            head = (1, 1, len(items), mavlink.MAV_FRAME_GLOBAL_INT, number, 0, 1)
+            items.append(mavlink.MAVLink_mission_item_int_message(*head, *rest))
     vehicle.missions.items[FENCE] = items
     fly(vehicle, 0.3)
 
