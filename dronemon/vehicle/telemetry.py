@@ -57,7 +57,7 @@ class Telemetry:
         self.texts = StatusTexts()
         self._state = VehicleState()
         self._clock = VehicleClock()
-        self._stamps_ms: dict[str, int] = {}  # newest by message, ATTITUDE's apart
+        self._stamps: dict[str, int] = {}  # the newest by message, ATTITUDE apart
         self._heard_s: dict[str, float] = {}
         self._left_s: dict[_Status, float] = {}  # when heartbeats said something for the last time
         self._doubted: _Status | None = None
@@ -96,15 +96,18 @@ class Telemetry:
 
     def _is_late(self, name: str, fields: dict[str, Any]) -> bool:
         """Whether a message with a stamp, ATTITUDE apart, is not of the present."""
-        stamp_ms = fields.get("time_boot_ms") or fields.get("time_usec", 0) // 1000
-        if name == "ATTITUDE" or not stamp_ms:
+        if name == "ATTITUDE":
             return False
-        newest_ms = self._clock.ahead_ms(self._stamps_ms.get(name, stamp_ms))
-        ahead_ms = self._clock.ahead_ms(stamp_ms)
-        if ahead_ms < newest_ms or ahead_ms > LATE_MS:
-            return True
-        self._stamps_ms[name] = stamp_ms
-        return False
+        if "time_boot_ms" in fields:
+            stamp, ahead_ms = fields["time_boot_ms"], self._clock.ahead_ms
+            is_late = ahead_ms(stamp) < ahead_ms(self._stamps.get(name, stamp))
+            is_late = is_late or ahead_ms(stamp) > LATE_MS  # of another clock
+        else:  # `time_usec` counts from boot or from 1970
+            stamp = fields.get("time_usec", 0)
+            is_late = stamp < self._stamps.get(name, 0)
+        if not is_late:
+            self._stamps[name] = stamp
+        return is_late
 
     @property
     def state(self) -> VehicleState:
@@ -197,7 +200,7 @@ class Telemetry:
         if self._clock.num_reboots != num_reboots:
             self._position = None
             self._poses.clear()
-            self._stamps_ms.clear()
+            self._stamps.clear()
             self._left_s.clear()
         if time_s is None or self._position is None:
             return

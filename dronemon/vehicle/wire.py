@@ -285,7 +285,7 @@ def _check_port(url: str) -> None:
                 ) from exc
 
 
-def _to_logging(level: mavsdk.LogLevel, message: str, _file: str | None, _line: int) -> bool:
-    """Pass what MAVSDK says to Python's logging instead of standard output."""
-    logging.getLogger("mavsdk").log(10 * (int(level) + 1), "%s", message)
+def _to_logging(_level: mavsdk.LogLevel, message: str, _file: str | None, _line: int) -> bool:
+    """Pass what MAVSDK says to Python's logging, for whoever looks for it there."""
+    logging.getLogger("mavsdk").debug("%s", message)
     return True

@@ -188,6 +188,8 @@ def test_late_messages_are_dropped():
     assert telemetry.pose.position_ned_m[0] == 7.0
     assert telemetry.state.is_position_good
     assert telemetry.state.num_unreadable == 0
+    telemetry.take("ESTIMATOR_STATUS", {"flags": 0, "time_usec": 1_800_000_000_000_000})
+    assert not telemetry.state.is_position_good
 
 
 def test_poses_go_on_where_the_boot_time_wraps():
