@@ -35,6 +35,11 @@ from sim.streams import STREAMS, Builder
 
 _DATAGRAM_BYTES = 1200
 _CHUNK_BYTES = 50
+_BROADCAST = (
+    mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+    mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+)
+"""Commands that are obeyed without naming this system."""
 _GCS_TIMEOUT_S = 3.0
 _SIGNING_EPOCH_S = 1_420_070_400
 """1 January 2015, from which MAVLink's signatures count in 10 microseconds."""
@@ -178,7 +183,8 @@ class MavlinkLink(asyncio.DatagramProtocol):
             return
         kind = message.get_type()
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
-            self._obey(message)
+            if message.target_system or message.command in _BROADCAST:
+                self._obey(message)
         elif kind == "SET_MODE" and "reject" not in self._faults:
             mode = (message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
             params = (float(message.base_mode), *map(float, mode), *[math.nan] * 4)

@@ -15,12 +15,15 @@ from pymavlink.dialects.v20 import common as mavlink
 from dronemon.types import Vector3
 from sim.autopilot import Autopilot
 from sim.dynamics import GRAVITY_M_S2
+from sim.estimator import GPS_LOSS_TOLERATED_S
 from sim.modes import Px4Mode
 
 Builder = Callable[[Autopilot], Any]
 _EPOCH_US = 1_760_000_000_000_000
 """What the simulated GPS calls the time of boot."""
 _UNKNOWN_16 = 65535
+_BAD_POSITION_LAG_S = 1.0
+"""By how much the estimator's flags are behind HEARTBEAT, both once a second."""
 _SENSORS = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -65,9 +68,9 @@ def _heartbeat(autopilot: Autopilot) -> Any:
     base_mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     if commander.mode.is_manual:
         base_mode |= mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-    else:
+    elif commander.mode is not Px4Mode.OFFBOARD:
         base_mode |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-    status = mavlink.MAV_STATE_STANDBY
+    status = mavlink.MAV_STATE_STANDBY if commander.can_arm else mavlink.MAV_STATE_UNINIT
     if commander.is_armed:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
         status = mavlink.MAV_STATE_ACTIVE
@@ -289,14 +292,15 @@ def _gps_global_origin(autopilot: Autopilot) -> Any:
 
 
 def _estimator_status(autopilot: Autopilot) -> Any:
-    """That GPS is gone shows at once; the position counts as good for a while longer."""
+    """That GPS is gone shows at once; that the position is no good, after the failsafe for it."""
     flags = (
         mavlink.ESTIMATOR_ATTITUDE
         | mavlink.ESTIMATOR_VELOCITY_VERT
         | mavlink.ESTIMATOR_POS_VERT_ABS
     )
     lost_s = autopilot.estimate.gps_lost_s
-    if autopilot.estimate.has_position:
+    is_news = GPS_LOSS_TOLERATED_S <= lost_s < GPS_LOSS_TOLERATED_S + _BAD_POSITION_LAG_S
+    if autopilot.estimate.has_position or is_news:
         flags |= (
             mavlink.ESTIMATOR_VELOCITY_HORIZ
             | mavlink.ESTIMATOR_POS_HORIZ_REL

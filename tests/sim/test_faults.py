@@ -206,9 +206,13 @@ def test_strangers_do_not_disturb() -> None:
             sender = mavlink.MAVLink(None, srcSystem=system, srcComponent=190)
             beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
             station.send_bytes(beat.pack(sender))
+        for target in (0, 2, 77):
+            arm = mavlink.MAVLink_command_long_message(target, 1, ARM, 0, 1.0, *[math.nan] * 6)
+            station.send_bytes(arm.pack(stranger))
         await station.settle()
         await station.fly(1.1)
         assert station.last("HEARTBEAT").custom_mode == Px4Mode.LOITER
+        assert not station.simulation.autopilot.commander.is_armed
         ours = mavlink.MAVLink_set_mode_message(1, 1, Px4Mode.OFFBOARD)
         station.send_bytes(ours.pack(stranger))
         await station.settle()

@@ -360,6 +360,8 @@ def test_gps_loss_shows_as_a_failsafe_and_in_the_estimator_flags(aloft: Autopilo
     fly(aloft, 0.3, setpoint)
     assert mode(aloft) is Px4Mode.ALTCTL
     assert aloft.commander.is_in_failsafe
+    assert flags() & mavlink.ESTIMATOR_POS_HORIZ_ABS  # the failsafe is seen first
+    fly(aloft, 1.0, setpoint)
     assert not flags() & mavlink.ESTIMATOR_POS_HORIZ_ABS
 
 
