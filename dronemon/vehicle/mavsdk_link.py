@@ -48,6 +48,7 @@ _SETPOINT_GAP_S = 1.0
 _TEXTS_COME_S = 1.2
 _CLIMB_M, _CLIMB_WITHIN_S = 1.0, 20.0
 _WORDS = 4
+_UP = (Landed.TAKING_OFF, Landed.IN_AIR)
 
 
 class MavsdkLink:
@@ -225,7 +226,8 @@ class MavsdkLink:
         """Choose Hold with the motors off, so that whoever arms next does not take off."""
         if not self.state.is_armed and self.state.mode is Mode.TAKEOFF:
             self.release()
-            await self._change_mode(Mode.HOLD)
+            with contextlib.suppress(VehicleError):
+                await self._change_mode(Mode.HOLD)
 
     async def take_off(self, height_m: float) -> None:
         """Climb to a height above the present place and hold there."""
@@ -239,17 +241,14 @@ class MavsdkLink:
             await self._confirm(
                 "take-off",
                 command,
-                lambda: (
-                    self.state.mode is Mode.TAKEOFF or self.state.landed is not Landed.ON_GROUND
-                ),
+                lambda: self.state.mode is Mode.TAKEOFF or self.state.landed in _UP,
             )
             self._modes.expect(Mode.TAKEOFF, Mode.HOLD)
             await self._climb(start_down_m, height_m, num_texts)
         except ControlTaken:
             raise
         except VehicleError:
-            with contextlib.suppress(VehicleError):
-                await self._leave_take_off()
+            await self._leave_take_off()
             raise
 
     async def _climb(self, start_down_m: float, height_m: float, num_texts: int) -> None:
