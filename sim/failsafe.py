@@ -121,6 +121,8 @@ def _on_impossible_mode(now: Situation, p: Parameters) -> Action:
             action = _STICKS_LOST[int(p["NAV_RCL_ACT"])]
     if mode is Px4Mode.POSCTL and not now.can_fly(mode):
         return Action.ALTITUDE
+    if mode is Px4Mode.LAND and not now.has_position:
+        return Action.LAND  # a mere descent, which HEARTBEAT calls LAND in a failsafe
     return action if now.can_fly(mode) else Action.RETURN
 
 

@@ -17,7 +17,7 @@ from simulated_vehicle import StartMockVehicle, free_udp_port
 
 from dronemon.assembly import make_detector
 from dronemon.camera import SimulatedCamera
-from dronemon.errors import CameraError, ControlTaken, LinkLost, RecordError, VehicleError
+from dronemon.errors import CameraError, ControlTaken, LinkLost, RecordError
 from dronemon.events import Event, Measured, Noted
 from dronemon.mission import load_mission
 from dronemon.planner.lawnmower import Lawnmower
@@ -222,8 +222,8 @@ def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
 
 
 def test_lost_gps_ends_the_patrol(rehearsal: Rehearsal):
-    """Without it the vehicle can only hover; it is brought home once it has it again."""
+    """The failsafe is seen before the estimator's flag; without a position it only descends."""
     result = rehearsal.fly("--fault", "gps@40+60")
-    assert isinstance(result.error, VehicleError)
-    assert "lost its absolute position" in str(result.error)
+    assert isinstance(result.error, ControlTaken)
+    assert result.error.by_failsafe
     assert result.is_landed

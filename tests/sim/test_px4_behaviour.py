@@ -377,6 +377,7 @@ def test_without_gps_landing_is_accepted_and_drifts_and_return_is_not(vehicle: A
     assert command(vehicle, mavlink.MAV_CMD_NAV_LAND) == ACCEPTED
     fly(vehicle, 3.0)
     assert mode(vehicle) is Px4Mode.LAND
+    assert vehicle.commander.is_in_failsafe  # though it was asked for: it only descends
     fly_until_disarmed(vehicle)
     assert math.dist(vehicle.body.position[:2], begun_at[:2]) > 5.0
 
