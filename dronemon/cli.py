@@ -128,8 +128,7 @@ def fly_command(
 
     result, summary = asyncio.run(assemble_and_fly(checked, follow, out))
     console.print(facts_table(checked.mission.name, facts(summary)))
-    if result.last_seen is not None:
-        print_error(result.last_seen.words)
+    (console.print if result.is_landed else print_error)(result.last_word)
     if result.error is not None:  # told when it happened
         raise typer.Exit(result.error.exit_code)
     if not result.is_landed:

@@ -146,6 +146,8 @@ class MockFlight:
             flown_s, wall_s = self._time_s - started_at_s, time.monotonic() - begin_s
             ratio = flown_s / max(wall_s, 1e-9)
             _LOG.info("simulated %.0f s, %.1f times real time (%g asked)", flown_s, ratio, speed_up)
+            armed = "armed" if self.autopilot.commander.is_armed else "disarmed"
+            _LOG.info("the vehicle is %s", armed)
 
     async def _keep_pace(self, speed_up: float) -> None:
         due_s, last_s = self._time_s, time.monotonic()

@@ -36,7 +36,8 @@ class FlightResult:
     """How a flight ended.
 
     outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`.
-    is_landed: whether the motors are off for sure; if not, last_seen has the last words.
+    has_flown: whether it was armed; is_landed: whether the motors are off for sure; if not,
+    last_seen has the last words.
     landing_error_m: distance from where it was armed, None if it did not take off or land, or if
     its position was not good.
     tally: what the patrol did; None if it never began.
@@ -44,11 +45,21 @@ class FlightResult:
     """
 
     outcome: str
+    has_flown: bool
     is_landed: bool
     last_seen: LastSeen | None
     landing_error_m: float | None
     tally: Tally | None
     error: DronemonError | None
+
+    @property
+    def last_word(self) -> str:
+        """What a person must know in the end: whether the motors may still run."""
+        if self.last_seen is not None:
+            return self.last_seen.words
+        if not self.has_flown:
+            return "nothing has flown: the motors were not started"
+        return "the drone is down, and its motors are off"
 
 
 async def fly_mission(setup: FlightSetup) -> FlightResult:
@@ -97,6 +108,7 @@ class _Flight:
             self._events.note("outcome", supervisor.outcome)
         return FlightResult(
             outcome=supervisor.outcome,
+            has_flown=supervisor.was_armed,
             is_landed=supervisor.is_down,
             last_seen=None if supervisor.is_down else last_seen(self._link),
             landing_error_m=self._distance_from_home_m() if supervisor.is_down else None,

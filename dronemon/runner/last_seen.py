@@ -18,6 +18,7 @@ _WHAT_COMES = {
     Mode.TAKEOFF: "it climbs and then stays there until its battery's failsafe acts",
     Mode.OFFBOARD: "without setpoints its failsafe acts within seconds: by default it flies home",
 }
+FIRST_WORDS = "the motors may be running"
 _PILOTS = "whoever chose that mode flies it"
 
 
@@ -44,7 +45,7 @@ class LastSeen:
             place = f"at {self.latitude_deg:.6f}, {self.longitude_deg:.6f}"
         armed = "armed" if self.is_armed else "disarmed, which may be wrong by now"
         return (
-            f"the motors may be running: heard last at {self.heard_at} {place}, {armed}, in mode "
+            f"{FIRST_WORDS}: heard last at {self.heard_at} {place}, {armed}, in mode "
             f"'{self.mode}'; {self.what_comes}; keep people away, take it over by remote control "
             "or a ground station, and see that it lands and disarms"
         )

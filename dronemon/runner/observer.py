@@ -29,6 +29,10 @@ _LOOK_LIMIT_S = 3.0
 """Wall time for the detector."""
 
 
+Shot = tuple[Picture, Pose]
+"""A picture and the pose that it was taken from."""
+
+
 class Observer:
     """The patrol's eyes; `tally` is given when it begins.
 
@@ -44,7 +48,7 @@ class Observer:
         self._names = tuple(target.name for target in self._mission.targets)
         self._appearances = [target.appearance for target in self._mission.targets]
         self._grid_au = belief_grid_au()
-        self._unseen: deque[Picture] = deque()  # taken and not yet looked at
+        self._unseen: deque[Shot] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
         self._blind_since_s: float | None = None
         self._num_blind = 0
@@ -68,14 +72,14 @@ class Observer:
         """A picture is due now."""
         self._due.set()
 
-    def resume(self, work: asyncio.Queue[Picture | None]) -> None:
+    def resume(self, work: asyncio.Queue[Shot | None]) -> None:
         """Forget how long nothing was seen, but not what was taken."""
         self._blind_since_s, self._is_taking = None, False
         self._due.clear()
-        for picture in self._unseen:
-            work.put_nowait(picture)
+        for shot in self._unseen:
+            work.put_nowait(shot)
 
-    async def photograph(self, work: asyncio.Queue[Picture | None]) -> None:
+    async def photograph(self, work: asyncio.Queue[Shot | None]) -> None:
         """Take every picture that is asked for, and hand it on."""
         while True:
             await self._due.wait()
@@ -85,12 +89,14 @@ class Observer:
                 picture = await self._setup.camera.capture()
                 now_s, last_s = self._link.time_s, self._pictured_s
                 check_picture(picture, self._mission.camera.model, now_s, last_s)
+                poses = await self._link.poses_around(picture.time_s)
             except CameraError as exc:
                 self._miss(exc)
             else:
                 self._pictured_s = picture.time_s
-                self._unseen.append(picture)
-                await work.put(picture)
+                shot = picture, interpolate_pose(*poses, picture.time_s)
+                self._unseen.append(shot)
+                await work.put(shot)
             finally:
                 self._is_taking = False
 
@@ -107,19 +113,17 @@ class Observer:
         while self._unseen:
             await self.look(self._unseen[0])
 
-    async def look(self, picture: Picture) -> None:
+    async def look(self, shot: Shot) -> None:
         """Look at the oldest picture taken. One that says nothing is told, and counts."""
         try:
-            await self._look(picture)
+            await self._look(*shot)
         except CameraError as exc:
             self._unseen.popleft()
             self._miss(exc)
 
-    async def _look(self, picture: Picture) -> None:
+    async def _look(self, picture: Picture, pose: Pose) -> None:
         tally = self.tally
         assert tally is not None  # pictures are asked for only once the patrol has begun
-        before, after = await self._link.poses_around(picture.time_s)
-        pose = interpolate_pose(before, after, picture.time_s)
         time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
         look = partial(self._detect, picture, pose, time_au)
         detections, measurement, score = await in_daemon_thread(

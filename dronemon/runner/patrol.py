@@ -24,11 +24,11 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.observer import Observer
+from dronemon.runner.observer import Observer, Shot
 from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
 from dronemon.runner.tally import Tally
-from dronemon.types import FloatArray, Picture, Pose
+from dronemon.types import FloatArray, Pose
 from dronemon.vehicle import Setpoint
 
 SETPOINT_INTERVAL_S = 0.05
@@ -84,7 +84,7 @@ class Patrol:
         self._at_height_s = pose.time_s
         self._last_pose, self._waiting_since = None, None
         self._is_waypoint_asked = False
-        self._work: asyncio.Queue[Picture | None] = asyncio.Queue(2 * _MAX_PENDING)
+        self._work: asyncio.Queue[Shot | None] = asyncio.Queue(2 * _MAX_PENDING)
         self._observer.resume(self._work)
         await self._link.start_offboard(self._setpoint(pose.position_ned_m[:2], (0.0, 0.0)))
         try:

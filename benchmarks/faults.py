@@ -1,0 +1,335 @@
+"""Every fault at take-off, patrol and return: `python benchmarks/faults.py [--seeds N]`.
+
+Each flight is one `dronemon fly` of a small mission at ten times real time. Flights that are done
+are in `--results` (JSON lines) and not flown again; the table goes beside it as Markdown. Judged of
+each flight:
+- end:       landed, left with true last words, pilot's, not flown, killed by the case; or
+             UNCONTROLLED: the motors run and the program does not say so (the simulator knows)
+- folder:    whether the run folder reads and its files are whole
+- lost:      pictures whose observation is missing, beyond those that the case spoils
+- last line: whether it is true
+
+A real PX4 is flown beside the mock where DRONEMON_PX4 is a command line that runs what follows it
+beside a fresh PX4 which streams to 127.0.0.1:14540 and :14550; cases of the simulated autopilot
+itself do not apply there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dronemon.errors import DronemonError
+from dronemon.recorder import RunFolder
+from dronemon.runner.last_seen import FIRST_WORDS
+
+MISSION = """
+name: faults
+area: {{side_m: 120}}
+flight: {{altitude_m: 30, cruise_speed_m_s: 5, horizon_au: 0.8, start_au: [0.5, 0.5]}}
+camera: {{timeout_s: 2}}
+targets:
+  - {{name: Bella, appearance: cow, prior_au: simulated}}
+  - {{name: Zuri, appearance: zebra, prior_au: simulated}}
+planner: {{kind: "{planner}"}}
+vehicle: {{url: "{vehicle}", speed_up: 10, link_loss_timeout_s: 3}}
+simulation: {{seed: {seed}, faults: [{faults}]}}
+view: {{live: false}}
+"""
+MOMENTS = ("take-off", "patrol", "return")
+FLIGHT_LIMIT_S = 300.0
+_FULL_DISK_BYTES = 20_000
+
+
+Child = subprocess.Popen[str]
+Act = Callable[[Child], None]
+Result = dict[str, Any]
+
+
+def _signals(*numbers: signal.Signals, pause_s: float = 1.0) -> Callable[[Child], None]:
+    def send(child: Child) -> None:
+        for number in numbers:
+            child.send_signal(number)
+            time.sleep(pause_s)
+
+    return send
+
+
+def _kill_simulator(child: Child) -> None:
+    subprocess.run(["pkill", "-KILL", "-P", str(child.pid), "-f", "-m sim"], check=False)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault: of the simulator, of a process, of the planner, or of the disk.
+
+    faults: of the simulator, `{t}` is the moment; act: what is done to the program at the moment
+    ends:   acceptable ends beside `landed`
+    """
+
+    faults: tuple[str, ...] = ()
+    act: Act | None = None
+    planner: str = "tsp"
+    is_disk_full: bool = False
+    moments: tuple[str, ...] = MOMENTS
+    ends: tuple[str, ...] = ()
+    spoils_pictures: bool = False
+
+    @property
+    def is_for_px4(self) -> bool:
+        """Whether it is a fault of the camera, the program, the planner or the disk."""
+        return not self.faults or self.spoils_pictures
+
+
+CASES = {
+    "none": Case(moments=("patrol",)),
+    "silence 8 s": Case(("silence@{t}+8",)),
+    "silence": Case(("silence@{t}",), ends=("left",)),
+    "deaf": Case(("deaf@{t}",), ends=("left",)),
+    "loss 20 %, delay 200 ms": Case(("loss=0.2@{t}", "delay=0.2@{t}")),
+    "everything again 1.5 s later": Case(("duplicate=1.5@{t}",)),
+    "reordered": Case(("reorder=0.3@{t}",)),
+    "corrupted": Case(("corrupt=0.1@{t}",)),
+    "setpoints ignored 3 s": Case(("ignore@{t}+3",)),
+    "commands refused 10 s": Case(("reject@{t}+10",)),
+    "pilot 10 s": Case(("pilot@{t}+10",), ends=("pilot",)),
+    "battery": Case(("battery=0.2@{t}",)),
+    "battery critical": Case(("battery=0.06@{t}",)),
+    "GPS lost": Case(("gps@{t}",)),
+    "GPS lost 12 s": Case(("gps@{t}+12",)),
+    "position jumps 20 m": Case(("jump=20@{t}",)),
+    "geofence": Case(("fence@{t}",)),
+    "autopilot restarts": Case(("reboot@{t}",)),
+    "never disarms": Case(("COM_DISARM_LAND=-1",), moments=("return",)),
+    "arming refused": Case(("unarmable",), moments=("take-off",), ends=("not flown",)),
+    "camera silent 10 s": Case(("camera@{t}+10",), spoils_pictures=True),
+    "camera silent": Case(("camera@{t}",), spoils_pictures=True),
+    "pictures late": Case(("late=2@{t}",), spoils_pictures=True),
+    "pictures torn": Case(("torn@{t}+10",), spoils_pictures=True),
+    "pictures blank": Case(("blank@{t}+10",), spoils_pictures=True),
+    "pictures repeated": Case(("repeat@{t}+10",), spoils_pictures=True),
+    "pictures misdated": Case(("misdate=100@{t}+10",), spoils_pictures=True),
+    "planner raises": Case(planner="faulty_planners:Raising", moments=("patrol",)),
+    "planner slow": Case(planner="faulty_planners:Slow", moments=("patrol",)),
+    "planner hangs": Case(planner="faulty_planners:Hanging", moments=("patrol",)),
+    "disk full": Case(is_disk_full=True, moments=("patrol",), spoils_pictures=True),
+    "Ctrl-C": Case(act=_signals(signal.SIGINT)),
+    "Ctrl-C twice": Case(act=_signals(signal.SIGINT, signal.SIGINT)),
+    "SIGSTOP 5 s": Case(act=_signals(signal.SIGSTOP, signal.SIGCONT, pause_s=5.0)),
+    "SIGKILL": Case(act=_signals(signal.SIGKILL), ends=("killed",), spoils_pictures=True),
+    "simulator killed": Case(act=_kill_simulator, ends=("left",), spoils_pictures=True),
+}
+
+
+def main() -> None:
+    """Fly what is not flown yet, and write the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE")
+    parser.add_argument("--moments", nargs="+", choices=MOMENTS, default=list(MOMENTS))
+    parser.add_argument("--results", type=Path, default=Path("docs/results/faults.jsonl"))
+    options = parser.parse_args()
+    done = _read(options.results)
+    for vehicle in ("mock", "px4") if os.environ.get("DRONEMON_PX4") else ("mock",):
+        for name, moment, seed in _flights(options, vehicle):
+            if (vehicle, name, moment, seed) in done:
+                continue
+            times_s = _times_s(done, vehicle, seed)
+            result = fly(CASES[name], vehicle, seed, times_s.get(moment, 0.0))
+            result |= {"vehicle": vehicle, "case": name, "moment": moment, "seed": seed}
+            done[vehicle, name, moment, seed] = result
+            with options.results.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(result) + "\n")
+            print(
+                vehicle,
+                name,
+                moment,
+                seed,
+                *(result[k] for k in ("end", "outcome", "last_line")),
+                flush=True,
+            )
+    options.results.with_suffix(".md").write_text(table(list(done.values())), encoding="utf-8")
+    sys.exit(any(is_bad(result) for result in done.values()))
+
+
+def _flights(options: argparse.Namespace, vehicle: str) -> Iterator[tuple[str, str, int]]:
+    """The flight without a fault first: it tells when the moments are."""
+    for seed in range(options.seeds):
+        yield "none", "patrol", seed
+        for name in options.cases:
+            if name == "none" or (vehicle == "px4" and not CASES[name].is_for_px4):
+                continue
+            for moment in CASES[name].moments:
+                if moment in options.moments:
+                    yield name, moment, seed
+
+
+def _times_s(done: dict[tuple[Any, ...], Result], vehicle: str, seed: int) -> dict[str, float]:
+    """When each moment is, in seconds after arming, from the flight without a fault."""
+    control = done.get((vehicle, "none", "patrol", seed))
+    return control["moments_s"] if control else {}
+
+
+def fly(case: Case, vehicle: str, seed: int, moment_s: float) -> Result:
+    """Fly once. -> what came of it"""
+    with tempfile.TemporaryDirectory() as text:
+        folder = Path(text)
+        out = folder / "run"
+        faults = ", ".join(f'"{fault.format(t=round(moment_s, 1))}"' for fault in case.faults)
+        is_px4 = vehicle == "px4"
+        (folder / "mission.yaml").write_text(
+            MISSION.format(
+                planner=case.planner,
+                seed=seed,
+                faults=faults,
+                vehicle="udpin://127.0.0.1:14540" if is_px4 else "mock",
+            )
+        )
+        command = [sys.executable, "-m", "dronemon.cli", "fly", str(folder / "mission.yaml")]
+        command += ["--out", str(out)] + ["--follow", "udpin://127.0.0.1:14550"] * is_px4
+        if is_px4:
+            command = [*shlex.split(os.environ["DRONEMON_PX4"]), *command]
+        paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+        child = subprocess.Popen(
+            command,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            preexec_fn=_limit_files if case.is_disk_full else None,
+        )
+        if case.act is not None:
+            _wait_until(out, moment_s, child)
+            case.act(child)
+        try:
+            said, _ = child.communicate(timeout=FLIGHT_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            said, _ = child.communicate()
+            said += "\nnever ended"
+        return _judge(case, out, said.strip().splitlines(), child.returncode)
+
+
+def _limit_files() -> None:
+    """As on a full disk: files cannot grow."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (_FULL_DISK_BYTES, _FULL_DISK_BYTES))
+
+
+def _wait_until(out: Path, moment_s: float, child: Child) -> None:
+    """Wait until a moment after arming: events tell the vehicle's time, ten times the clock's."""
+    events = out / "events.jsonl"
+    while child.poll() is None:
+        if events.exists() and any('"armed"' in line for line in events.read_text().splitlines()):
+            time.sleep(moment_s / 10.0)
+            return
+        time.sleep(0.02)
+
+
+def _judge(case: Case, out: Path, said: list[str], status: int) -> Result:
+    last = next((line for line in reversed(said) if line.strip()), "")
+    result: Result = {"status": status, "last_line": last, "outcome": "none", "lost": 0}
+    truth = _truth(out)
+    try:
+        run = RunFolder.open(out)
+        summary, events = run.summary(), list(run.events())
+        num_seen, num_decided = len(list(run.observations())), len(list(run.decisions()))
+        result |= {"outcome": summary["outcome"], "decisions": num_decided}
+        result["folder"] = "whole" if not run.damaged_files() else "damaged"
+    except (DronemonError, OSError, LookupError) as exc:
+        return result | {"folder": f"unreadable: {exc!r}", "end": "UNCONTROLLED", "is_true": False}
+    truth_file = out / "truth.jsonl"
+    num_taken = len(truth_file.read_text().splitlines()) if truth_file.exists() else 0
+    if not case.spoils_pictures:
+        result["lost"] = max(num_taken - 1 - num_seen, 0)  # the first is taken on the ground
+    is_left = FIRST_WORDS in " ".join(said[-6:])
+    is_landed = summary.get("is_landed", False)
+    if status == -signal.SIGKILL and "killed" in case.ends:
+        end = "killed"
+    elif "armed" in {event["kind"] for event in events}:
+        end = "landed" if is_landed else "left" if is_left else "UNCONTROLLED"
+    else:
+        end = "not flown" if is_landed else "left" if is_left else "UNCONTROLLED"
+    if end == "left" and summary["outcome"] == "pilot":
+        end = "pilot"
+    result["is_true"] = end != "UNCONTROLLED" and not (is_landed and truth == "armed")
+    if not result["is_true"]:
+        end = "UNCONTROLLED"
+    times = {event["kind"]: event["time_s"] for event in events}
+    if {"armed", "patrol", "homecoming"} <= times.keys():
+        armed_s = times["armed"]
+        result["moments_s"] = {
+            "take-off": 3.0,
+            "patrol": times["patrol"] - armed_s + 5.0,
+            "return": times["homecoming"] - armed_s + 2.0,
+        }
+    return result | {"end": end}
+
+
+def _truth(out: Path) -> str:
+    """What the simulator says of the motors at its end; nothing of a real PX4's, or if killed."""
+    log = out / "simulator.log"
+    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+    ends = [line for line in lines if "the vehicle is" in line]
+    return "unknown" if not ends else "disarmed" if "disarmed" in ends[-1] else "armed"
+
+
+def is_bad(result: Result) -> bool:
+    """Whether a flight is against what is promised."""
+    allowed = ("landed", "not flown", *CASES[result["case"]].ends)
+    return result["end"] not in allowed or result["folder"] != "whole" or result["lost"] > 1
+
+
+def table(results: list[Result]) -> str:
+    """The results as Markdown: a row per case and moment, a column per vehicle."""
+    vehicles = sorted({result["vehicle"] for result in results})
+    lines = [
+        "# Faults in flight\n",
+        "Written by `python benchmarks/faults.py`; its docstring says what is judged.\n",
+        f"Flights {len(results)}, against what is promised {sum(map(is_bad, results))}, "
+        f"uncontrolled ends {sum(r['end'] == 'UNCONTROLLED' for r in results)}, "
+        f"folders not whole {sum(r['folder'] != 'whole' for r in results)}, observations lost "
+        f"beyond the picture in flight {sum(max(r['lost'] - 1, 0) for r in results)}, "
+        f"last lines not true {sum(not r['is_true'] for r in results)}.\n",
+        "| fault | moment | " + " | ".join(vehicles) + " |",
+        "|---|---|" + "---|" * len(vehicles),
+    ]
+    for name, case in CASES.items():
+        for moment in case.moments:
+            cells = []
+            for vehicle in vehicles:
+                ends = [
+                    f"{r['end']} ({r['outcome']})"
+                    for r in results
+                    if (r["vehicle"], r["case"], r["moment"]) == (vehicle, name, moment)
+                ]
+                counts = {end: ends.count(end) for end in dict.fromkeys(ends)}
+                cells.append(", ".join(f"{n} x {end}" for end, n in counts.items()) or "—")
+            if set(cells) != {"—"}:
+                lines.append(f"| {name} | {moment} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _read(path: Path) -> dict[tuple[Any, ...], Result]:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    results = [json.loads(line) for line in lines]
+    return {(r["vehicle"], r["case"], r["moment"], r["seed"]): r for r in results}
+
+
+if __name__ == "__main__":
+    main()
