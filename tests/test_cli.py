@@ -220,7 +220,7 @@ def test_no_name_is_no_mission(run, words):
     for command in ("check", "fly"):
         code, _, err = run(command, *words)
         assert code == 2
-        assert "no shipped mission has this name" in err
+        assert "no such mission, neither a .yaml file nor shipped" in err
 
 
 def test_output_that_cannot_be_written_ends_nothing(mission):
