@@ -89,7 +89,7 @@ class CameraServer:
             scene = self._scene()
             self._on_capture(scene)
             jpeg = await loop.run_in_executor(self._thread, self._photograph, scene)
-            writer.write(ANSWER.pack(REQUEST, scene.time_s, len(jpeg)) + jpeg)
+            writer.write(ANSWER.pack(REQUEST, scene.pose.time_s, len(jpeg)) + jpeg)
             async with asyncio.timeout(SEND_TIMEOUT_S):
                 await writer.drain()
 
