@@ -99,7 +99,7 @@ async def _with_everything(
         rehearsal = rehearse(mission, detector, planner, interrupts)
         sim = await _start(mission, folder, stack, follow, rehearsal)
         priors_au = _priors(mission, sim)
-        view = stack.enter_context(_view(mission, folder))
+        view = stack.enter_context(FlightView(folder.rrd_path, mission))
         if view.url:
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
@@ -141,18 +141,6 @@ async def _start(
         # The first failure cancelled the other.
         raise group_error.exceptions[0] from None
     return sim
-
-
-def _view(mission: Mission, folder: RunFolder) -> FlightView:
-    return FlightView(
-        folder.rrd_path,
-        title=mission.name,
-        targets={target.name: target.appearance for target in mission.targets},
-        camera=mission.camera.model,
-        side_m=mission.area.side_m,
-        live=mission.view.live,
-        port=mission.view.port,
-    )
 
 
 def _priors(mission: Mission, sim: Simulator | None) -> FloatArray:

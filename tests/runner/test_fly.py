@@ -76,13 +76,7 @@ class Rehearsal:
         recorder = RunRecorder.create(
             mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out
         )
-        view = FlightView(
-            recorder.folder.rrd_path,
-            title="small",
-            targets={"Bella": "cow"},
-            camera=file.mission.camera.model,
-            side_m=100.0,
-        )
+        view = FlightView(recorder.folder.rrd_path, file.mission)
         async with asyncio.timeout(90):
             with recorder, view:
                 async with MavsdkLink(vehicle.url, link_loss_timeout_s=2.0) as link:
