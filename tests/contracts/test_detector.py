@@ -53,7 +53,7 @@ def picture() -> ImageArray:
         for name, at_m in {"cow": (4.0, -6.0), "tiger": (-5.0, 5.0), "fox": (0.0, 0.0)}.items()
     )
     scene = Scene(pose=pose(), frame=frame, animals=animals)
-    return Renderer(CAMERA, 10_400).render(scene)
+    return Renderer(CAMERA, 10_300).render(scene)
 
 
 def look(detector: Detector, image: ImageArray, at: Pose) -> tuple[Detection, ...]:

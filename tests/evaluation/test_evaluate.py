@@ -30,6 +30,15 @@ PROGRAM = (
 )
 
 
+@pytest.fixture(name="without_figures")
+def _without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["dronemon.evaluation.evaluate"], "_draw", lambda *_: None)
+
+
+without_figures = pytest.mark.usefixtures("without_figures")
+"""For what is not about figures, which take longer to draw than short episodes to fly."""
+
+
 def options(out: Path, **changes: Any) -> Options:
     given: dict[str, Any] = {
         "planners": (PlannerSpec(kind="lawnmower"), PlannerSpec(kind="tsp")),
@@ -49,6 +58,7 @@ def outcome(results: list[Result]) -> list[tuple[object, ...]]:
     return [(*result.key, result.scores, result.unc_over_time) for result in results]
 
 
+@without_figures
 def test_results_do_not_depend_on_processes_or_what_else_is_flown(tmp_path: Path) -> None:
     alone = evaluate(options(tmp_path / "alone"), QUIET)
     together = evaluate(options(tmp_path / "together", workers=2), QUIET)
@@ -84,6 +94,7 @@ def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Pa
         assert result.scores.unc == pytest.approx(arrays["unc"][1:].mean())
 
 
+@without_figures
 def test_finished_episodes_are_not_flown_again(tmp_path: Path) -> None:
     first = evaluate(options(tmp_path), QUIET)
     lines = (tmp_path / "results.jsonl").read_text().splitlines()
@@ -93,6 +104,7 @@ def test_finished_episodes_are_not_flown_again(tmp_path: Path) -> None:
     assert len(more) == 6
 
 
+@without_figures
 def test_line_that_was_cut_off_is_flown_again(tmp_path: Path) -> None:
     first = evaluate(options(tmp_path), QUIET)
     path = tmp_path / "results.jsonl"
@@ -101,6 +113,7 @@ def test_line_that_was_cut_off_is_flown_again(tmp_path: Path) -> None:
     assert len(load_results(path)) == 4
 
 
+@without_figures
 def test_other_settings_are_other_episodes(tmp_path: Path) -> None:
     evaluate(options(tmp_path), QUIET)
     longer = evaluate(options(tmp_path, horizon_au=2.5), QUIET)
@@ -108,6 +121,7 @@ def test_other_settings_are_other_episodes(tmp_path: Path) -> None:
     assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 8
 
 
+@without_figures
 def test_episodes_of_other_code_are_kept_and_named(tmp_path: Path) -> None:
     first = evaluate(options(tmp_path), QUIET)
     assert {result.code for result in first} == {code_version()}
@@ -127,6 +141,7 @@ def test_episodes_of_other_code_are_kept_and_named(tmp_path: Path) -> None:
     assert f"\ndronemon {versions}; one" in (tmp_path / "table.md").read_text()
 
 
+@without_figures
 def test_episodes_of_the_same_code_give_no_warning(tmp_path: Path) -> None:
     evaluate(options(tmp_path), QUIET)
     console = Console(file=io.StringIO())
@@ -141,6 +156,7 @@ def test_damaged_line_is_named(tmp_path: Path) -> None:
         evaluate(options(tmp_path), QUIET)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "exit_code"), [(signal.SIGTERM, 130), (signal.SIGKILL, -signal.SIGKILL)]
 )

@@ -26,7 +26,7 @@ from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, 
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.viz import FlightView
 
-pytestmark = pytest.mark.flights
+pytestmark = pytest.mark.slow
 MISSION = """
 name: small
 area: {side_m: 100}

@@ -41,6 +41,8 @@ EXPERT = ExpertConfig(
     num_nodes=(20, 30),
     history=(8, 12),
     num_targets=(2, 3),
+    teacher_drawn=20,
+    teacher_refined=10,
     finish=replace(PAPER, objective="unc"),
 )
 RECIPES = {
