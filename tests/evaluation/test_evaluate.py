@@ -59,10 +59,16 @@ def outcome(results: list[Result]) -> list[tuple[object, ...]]:
 
 
 @without_figures
-def test_results_do_not_depend_on_processes_or_what_else_is_flown(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_results_do_not_depend_on_processes(tmp_path: Path) -> None:
     alone = evaluate(options(tmp_path / "alone"), QUIET)
     together = evaluate(options(tmp_path / "together", workers=2), QUIET)
     assert outcome(alone) == outcome(together)
+
+
+@without_figures
+def test_results_do_not_depend_on_what_else_is_flown(tmp_path: Path) -> None:
+    alone = evaluate(options(tmp_path / "alone"), QUIET)
     later = evaluate(
         options(tmp_path / "later", first_seed=10_001, instances=1, targets=(3, 2)), QUIET
     )
@@ -224,6 +230,7 @@ def test_bad_input_is_refused_with_the_reason(
     assert not (tmp_path / "out").exists()
 
 
+@without_figures
 def test_command_writes_where_it_was_told(tmp_path: Path) -> None:
     app = typer.Typer()
     app.command()(evaluate_command)

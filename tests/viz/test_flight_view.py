@@ -8,6 +8,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable
+from functools import partialmethod
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from dronemon.mission import Mission
 from dronemon.mission.schema import Area, Target, View
 from dronemon.types import Detection, Measurement, Picture, Pose
 from dronemon.viz import FlightView, belief_grid_au
+from dronemon.viz.page import LivePage
 
 AREA = AreaFrame(
     centre_ned_m=(30.0, -12.0),
@@ -464,8 +466,9 @@ def test_a_taken_port_is_named_with_the_next_step(tmp_path: Path) -> None:
 
 
 def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(LivePage, "close", partialmethod(LivePage.close, 0.5))
     others = set(psutil.Process().children(recursive=True))  # of tests before this one
     with view(tmp_path / "flight.rrd", port=free_port(), max_events=2000) as shown:
         wait_until(lambda: is_served(shown.url or ""))
