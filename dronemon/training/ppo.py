@@ -143,9 +143,14 @@ class Ppo:
             )
             for i in range(share)
         ]
-        length, choose = config.decisions, sampled(own)
-        env = Env(max_decisions=length, device=self._peers.device)
-        return play(self.network, env, setups, history=history, num_decisions=length, choose=choose)
+        return play(
+            self.network,
+            Env(device=self._peers.device),
+            setups,
+            history=history,
+            num_decisions=config.decisions,
+            choose=sampled(own),
+        )
 
     def learn(self, rollout: Rollout) -> dict[str, float]:
         """Several passes over the episodes, a few of them at a time."""
