@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dronemon.arena import ARENA, ROUNDING_AU, Arena
@@ -29,6 +29,7 @@ def test_the_nearest_place_is_inside_and_as_far_as_the_border(arena, place) -> N
     assert arena.contains(clipped)
     np.testing.assert_array_equal(arena.clip(clipped), clipped)
     distance_au = inside_by_au(arena, place)
+    assume(not -1.5 < distance_au / ROUNDING_AU < -0.5)  # may count as either, more so at corners
     assert arena.contains(place) == (distance_au >= -ROUNDING_AU)
     assert np.linalg.norm(clipped - place) == pytest.approx(max(-distance_au, 0.0))
     assert arena.segment_is_free(clipped, place) == arena.contains(place)
