@@ -39,9 +39,10 @@ class Conditions:
     num_neighbours: int = 10
 
     @property
-    def num_measurements(self) -> int:
-        """S: measurements taken within the horizon."""
-        return math.floor(self.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-9)
+    def times_au(self) -> FloatArray:
+        """(S+1,) time of the start and of each measurement within the horizon."""
+        count = math.floor(self.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-9)
+        return np.arange(count + 1, dtype=np.float64) * MEASUREMENT_INTERVAL_AU
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,25 +59,15 @@ class Episode:
     observed: BoolArray
     decisions_s: FloatArray
 
-    @property
-    def times_au(self) -> FloatArray:
-        """(S+1,) time of the start and of each measurement."""
-        return measurement_times_au(len(self.agent_au) - 1)
-
     def metrics(self) -> EpisodeMetrics:
         """Score the belief of all true targets at every measurement."""
         return episode_metrics(
-            self.times_au,
+            self.conditions.times_au,
             self.agent_au,
             self.targets_au,
             self.observed,
             prior=self.conditions.prior,
         )
-
-
-def measurement_times_au(count: int) -> FloatArray:
-    """Times of the start and of the first measurements. -> (count + 1,) au."""
-    return np.arange(count + 1, dtype=np.float64) * MEASUREMENT_INTERVAL_AU
 
 
 def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) -> Episode:
@@ -126,7 +117,7 @@ class _Agent:
         self, start_au: FloatArray, targets_at: TargetsAt, conditions: Conditions, told: Prior
     ) -> None:
         self._conditions = conditions
-        self._times_au = measurement_times_au(conditions.num_measurements)
+        self._times_au = conditions.times_au
         self._targets_au = targets_at(self._times_au)
         self._agent_au = [start_au]
         self.position_au = start_au

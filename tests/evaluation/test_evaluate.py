@@ -18,9 +18,10 @@ from typer.testing import CliRunner
 
 from dronemon.belief import episode_metrics
 from dronemon.errors import OptionError, RecordError
-from dronemon.evaluation import Options, PlannerSpec, Result, evaluate
 from dronemon.evaluation.command import evaluate_command
-from dronemon.evaluation.results import load_results
+from dronemon.evaluation.evaluate import evaluate
+from dronemon.evaluation.options import Options, PlannerSpec
+from dronemon.evaluation.results import Result, load_results
 from dronemon.version import code_version
 
 QUIET = Console(quiet=True)
