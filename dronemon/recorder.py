@@ -62,7 +62,6 @@ class RunRecorder:
         self.lost_lines = 0
         self._names = tuple(names)
         self._started = _stamp("seconds")
-        self._has_failed = False
         self._logs = {name: _AppendOnlyFile(folder.path / name) for name in LINE_FILES}
 
     @classmethod
@@ -172,9 +171,8 @@ class RunRecorder:
             self._logs[name].append(_json_line(record))
         except OSError as exc:
             self.lost_lines += 1
-            if self._has_failed:
+            if self.lost_lines > 1:
                 return
-            self._has_failed = True
             raise RecordError(
                 f"cannot write {self.folder.path / name}: {exc.strerror}; free space on its disk"
             ) from exc

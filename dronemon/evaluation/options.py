@@ -80,6 +80,7 @@ class EpisodeSpec:
     """One episode to fly.
 
     settings: digest of all else that its outcome depends on
+    folder:   where its arrays are kept, if they are
     """
 
     planner: PlannerSpec
@@ -87,6 +88,7 @@ class EpisodeSpec:
     seed: int
     conditions: Conditions
     settings: str
+    folder: Path | None
 
     @property
     def key(self) -> Key:
@@ -94,14 +96,16 @@ class EpisodeSpec:
         return self.planner.method, self.cell, self.seed, self.settings
 
     @property
-    def file_name(self) -> str:
-        """Name of the file of this episode's arrays."""
+    def path(self) -> Path | None:
+        """The file of this episode's arrays, if they are kept."""
+        if self.folder is None:
+            return None
         cell = self.cell
         name = (
             f"{self.planner.method}_N{cell.num_targets}_{cell.speed_ratio}_{cell.prior}"
             f"_seed{self.seed}_{self.settings}.npz"
         )
-        return name.replace(":", "-").replace("/", "-")
+        return self.folder / name.replace(":", "-").replace("/", "-")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,9 +200,13 @@ class Options:
             horizon_au=self.horizon_au,
             num_nodes=self.num_nodes,
         )
-        settings = self._settings[planner]
         return EpisodeSpec(
-            planner=planner, cell=cell, seed=seed, conditions=conditions, settings=settings
+            planner=planner,
+            cell=cell,
+            seed=seed,
+            conditions=conditions,
+            settings=self._settings[planner],
+            folder=self.out / "episodes" if self.save_episodes else None,
         )
 
 

@@ -61,7 +61,6 @@ class Drawing:
         self._radius_m = 0.0
         self._is_grid_laid = False
         self._trail: tuple[float, FloatArray] | None = None
-        self._first_s: float | None = None
         self._seen_s: dict[int, float] = {}
         self._seen_au: dict[int, FloatArray] = {}
         self._time_s: float | None = None
@@ -153,21 +152,16 @@ class Drawing:
         """Mark what was seen; extend the series of times since, battery and cross-track error."""
         time_s, measurement = event.time_s, event.measurement
         self._series(time_s, battery=event.battery, cross_track_m=event.cross_track_m)
-        if self._first_s is None:
-            self._first_s = time_s
         for number, name in enumerate(self._names):
             if measurement.seen[number]:
                 self._seen_s[number] = time_s
                 self._seen_au[number] = measurement.target_au[number]
-                self._mark_seen(number, name)
-            since_s = time_s - self._seen_s.get(number, self._first_s)
+                if self._area is not None:
+                    place = [au_to_map(self._seen_au[number], self._area)]
+                    mark = dots(place, target_rgb(number), 5.0, order=60, labels=[name])
+                    self._rec.log(path("map", "seen", name), mark)
+            since_s = time_s - self._seen_s.setdefault(number, time_s)  # or from the first look
             self._rec.log(path("plots", "since_seen", name), rr.Scalars(since_s))
-
-    def _mark_seen(self, number: int, name: str) -> None:
-        if self._area is not None:
-            place = [au_to_map(self._seen_au[number], self._area)]
-            mark = dots(place, target_rgb(number), 5.0, order=60, labels=[name])
-            self._rec.log(path("map", "seen", name), mark)
 
     def _beliefs(self, event: Believed, area: AreaFrame) -> None:
         """Show the posteriors of all targets together and one by one."""

@@ -88,8 +88,7 @@ class FlightView:
             undo.pop_all()
         names = [target.name for target in mission.targets]
         layout = blueprint(names, mission.area.side_m, math.radians(mission.area.heading_deg))
-        recording.set_sinks(self._file.sink(), default_blueprint=layout)
-        self._file.handed_over()
+        self._file.take(recording, layout)
         recording.send_recording_name(mission.name)
         self._drawing = Drawing(recording, mission)
         self._worker = threading.Thread(
