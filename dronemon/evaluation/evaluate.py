@@ -18,7 +18,7 @@ from dronemon.evaluation.episode import Episode, fly_episode
 from dronemon.evaluation.options import EpisodeSpec, Options, PlannerSpec
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, append_result, load_results
-from dronemon.planner import Planner
+from dronemon.planner import Planner, create_planner
 from dronemon.version import code_version
 from dronemon.workers import share_out
 from dronemon.world import Instance
@@ -112,7 +112,7 @@ def _warn_of_other_code(kept: Sequence[Result], path: Path, console: Console) ->
 @cache
 def _planner(spec: PlannerSpec, settings: str) -> Planner:
     """One planner serves all episodes of a process; `settings` changes with its weights."""
-    return spec.create()
+    return create_planner(spec.kind, checkpoint=spec.checkpoint)
 
 
 def _run(spec: EpisodeSpec, *, code: str) -> Result:

@@ -15,7 +15,7 @@ from dronemon import __version__
 from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
-from dronemon.planner import Planner, create_planner, has_weights, planner_names
+from dronemon.planner import create_planner, has_weights, planner_names
 from dronemon.problem import Prior
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
@@ -69,10 +69,6 @@ class PlannerSpec:
         if not has_weights(self.kind):
             return None
         return hashlib.sha256(find_checkpoint(self.checkpoint).read_bytes()).hexdigest()
-
-    def create(self) -> Planner:
-        """Make it. Raises OptionError for an unknown one, CheckpointMismatch for bad weights."""
-        return create_planner(self.kind, checkpoint=self.checkpoint)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +152,7 @@ class Options:
             f"--horizon {self.horizon_au:g} is not 0.1 to 1000 au",
         )
         for planner in self.planners:
-            planner.create()
+            create_planner(planner.kind, checkpoint=planner.checkpoint)
 
     @property
     def cells(self) -> list[Cell]:

@@ -73,9 +73,7 @@ class Rehearsal:
         detector = make_detector(file.mission)
         await rehearse(file.mission, detector, Lawnmower(), self.interrupts)
         vehicle = self._start(self.path, "--speed-up", "20", *options)
-        recorder = RunRecorder.create(
-            mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out
-        )
+        recorder = RunRecorder.create(file.mission, out=self.out)
         view = FlightView(recorder.folder.rrd_path, file.mission)
         async with asyncio.timeout(90):
             with recorder, view:
