@@ -125,7 +125,6 @@ def draw_overview(episode: Episode, instant: int, title: str, path: Path) -> Non
 
 def believe(episode: Episode, instant: int) -> FloatArray:
     """Mean of every target's belief at one measurement. -> (N, 40, 40), x first."""
-    num_targets = episode.targets_au.shape[1]
     first_au = episode.targets_au[0]
     is_placed = episode.conditions.prior == "full"
     sightings = Sightings(first_au if is_placed else np.full_like(first_au, np.nan))
@@ -143,7 +142,7 @@ def believe(episode: Episode, instant: int) -> FloatArray:
     points_au = ARENA.grid(GRID_SIZE)
     now_au = np.full((len(points_au), 1), times_au[instant])
     mean = Belief(sightings).mean(np.concatenate([points_au, now_au], axis=1))
-    return mean.reshape(num_targets, GRID_SIZE, GRID_SIZE)
+    return mean.reshape(-1, GRID_SIZE, GRID_SIZE)
 
 
 def _draw_truth(panel: Axes, episode: Episode, instant: int, targets: Sequence[int]) -> None:

@@ -51,10 +51,6 @@ _ABOUT = {
     "tsp-heading": "tsp, with targets carried on along their headings",
     "tsp-predicted": "tsp over the peaks of the belief a little later",
 }
-_LEARNED = {"stamp"}
-"""Made from a checkpoint's path or name, the shipped one for None."""
-_BOUNDS = {"clairvoyant", "clairvoyant-search"}
-"""Bounds for `dronemon evaluate`, which must be told the future."""
 
 
 def planner_names() -> tuple[str, ...]:
@@ -63,13 +59,13 @@ def planner_names() -> tuple[str, ...]:
 
 
 def has_weights(kind: str) -> bool:
-    """Whether planners of this name are made from a checkpoint."""
-    return kind in _LEARNED
+    """Whether planners of this name are made from a checkpoint, the shipped one for None."""
+    return kind == "stamp"
 
 
 def is_bound(kind: str) -> bool:
     """Whether planners of this name must be told the future, and so cannot fly."""
-    return kind in _BOUNDS
+    return kind in {"clairvoyant", "clairvoyant-search"}
 
 
 def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:

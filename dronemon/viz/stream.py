@@ -47,12 +47,10 @@ class FlightView:
     ) -> None:
         self._rrd_path = rrd_path
         self._mission = mission
-        self._file: RecordingFile | None = None
         self._queue = BoundedQueue[Event](max_items=max_events, max_bytes=max_bytes)
         self._num_failed = 0
         self._failure: str | None = None
         self._page: LivePage | None = None
-        self._worker: threading.Thread | None = None
         self._pose_due_s = -np.inf
 
     @property
@@ -68,8 +66,7 @@ class FlightView:
     @property
     def error(self) -> str | None:
         """What went wrong, if anything did: recording or page then lack something."""
-        file, page = self._file, self._page
-        return (file and file.error) or self._failure or (page and page.error) or None
+        return self._file.error or self._failure or (self._page.error if self._page else None)
 
     def __enter__(self) -> FlightView:
         """Open the file and, live, the page. Raises ViewError if one of them cannot be."""
@@ -103,10 +100,8 @@ class FlightView:
     def close(self, timeout_s: float = 10.0) -> None:
         """Finish the recording and end the page; what is not written by then is dropped."""
         self._queue.close(timeout_s)
-        if self._worker is not None:
-            self._worker.join(timeout_s + FINISH_S)
-        if self._file is not None:
-            self._file.wait(FINISH_S)
+        self._worker.join(timeout_s + FINISH_S)
+        self._file.wait(FINISH_S)
         if self._page is not None:
             self._page.close()
 
