@@ -120,9 +120,9 @@ class Reference:
 @pytest.fixture(params=CASES, ids=lambda case: f"{case[0]}-{case[1]}", scope="module")
 def reference(request: pytest.FixtureRequest) -> Reference:
     variant, history = request.param
-    sizes = [(12, 2), (17, 3)]
+    sizes = [(8, 2), (11, 3)]
     network = make_network(VARIANTS[variant])
-    episodes = make_episodes(sizes, length=21, seed=history)
+    episodes = make_episodes(sizes, length=16, seed=history)
     logits, values = naive_all(network, episodes, sizes, history)
     return Reference(
         network=network, history=history, episodes=episodes, logits=logits, values=values
