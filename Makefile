@@ -7,7 +7,7 @@ FLY ?= --mission missions/animals.yaml
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: fly test test-flights lint types clean
+.PHONY: fly test test-slow lint types clean
 
 fly: $(VENV)/.installed
 	$(BIN)/dronemon fly $(FLY)
@@ -15,8 +15,8 @@ fly: $(VENV)/.installed
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest
 
-test-flights: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m flights
+test-slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

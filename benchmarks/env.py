@@ -115,10 +115,9 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--targets", type=int, default=4)
     parser.add_argument("--nodes", type=int, default=200)
-    parser.add_argument("--horizon-au", type=float, default=float("inf"))
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # the beliefs' threads each work alone
-    env = Env(horizon_au=arguments.horizon_au, max_decisions=2**62, num_threads=arguments.threads)
+    env = Env(num_threads=arguments.threads)
     setups = [
         Setup(
             seed=FIRST_DEVELOPMENT_SEED + k,

@@ -49,10 +49,7 @@ def main() -> int:
     rng = np.random.default_rng(0)
     roadmap = Roadmap.random(NUM_NODES, 10, rng, rng.random(2))
     graphs = Graphs.of(
-        torch.as_tensor(roadmap.nodes_au),
-        torch.as_tensor(laplacian_encoding(roadmap)),
-        torch.as_tensor(roadmap.neighbours),
-        torch.as_tensor(roadmap.distance_au),
+        roadmap.nodes_au, laplacian_encoding(roadmap), roadmap.neighbours, roadmap.distance_au
     )
     generator = torch.Generator().manual_seed(0)
     frames = random_frames(1, options.decisions, graphs.num_nodes, NUM_TARGETS, generator)

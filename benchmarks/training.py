@@ -69,7 +69,7 @@ def _env_seconds(config: PpoConfig, device: torch.device) -> float:
         Setup(seed=10_000 + i, num_targets=num_targets, num_nodes=num_nodes)
         for i in range(config.episodes_per_iteration)
     ]
-    env = Env(max_decisions=config.decisions + 1, device=device)
+    env = Env(device=device)
     began = time.perf_counter()
     observation = env.reset(setups)
     for _ in range(config.decisions):

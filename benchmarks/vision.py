@@ -83,13 +83,7 @@ def random_scene(
             walked_m=rng.uniform(0.0, 100.0),
         )
         animals.append(animal)
-    return Scene(
-        time_s=pose.time_s,
-        pose=pose,
-        ground_down_m=frame.ground_down_m,
-        frame=frame,
-        animals=tuple(animals),
-    )
+    return Scene(pose=pose, frame=frame, animals=tuple(animals))
 
 
 def is_whole(scene: Scene, animal: Animal) -> bool:
@@ -101,7 +95,7 @@ def is_whole(scene: Scene, animal: Animal) -> bool:
     distance_m = np.linalg.norm(corners_m - scene.pose.position_ned_m[:2], axis=1)
     pixels = np.concatenate(
         [
-            ground_to_pixel(corners_m, CAMERA, scene.pose, scene.ground_down_m - up_m)
+            ground_to_pixel(corners_m, CAMERA, scene.pose, scene.frame.ground_down_m - up_m)
             for up_m in (0.0, height_m)
         ]
     )
@@ -160,7 +154,7 @@ class Tally:
 
 
 def _ground(pixel_px: tuple[float, float], scene: Scene) -> FloatArray:
-    return pixel_to_ground(np.array(pixel_px), CAMERA, scene.pose, scene.ground_down_m)
+    return pixel_to_ground(np.array(pixel_px), CAMERA, scene.pose, scene.frame.ground_down_m)
 
 
 def benchmark(seed: int, num_pictures: int, height_m: float | None) -> None:
@@ -180,7 +174,7 @@ def benchmark(seed: int, num_pictures: int, height_m: float | None) -> None:
         jpeg = np.frombuffer(encode(image), np.uint8)
         image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
         received_s = time.thread_time()
-        detections = detector.detect(image, scene.pose, scene.ground_down_m)
+        detections = detector.detect(image, scene.pose, scene.frame.ground_down_m)
         detect_ms.append(1e3 * (time.thread_time() - received_s))
         render_ms.append(1e3 * (rendered_s - start_s))
         carry_ms.append(1e3 * (received_s - rendered_s))
@@ -201,7 +195,7 @@ def measure(seed: int, num_pictures: int) -> None:
     for _ in range(num_pictures):
         scene = random_scene(rng, reach=1.5, num_near=4)
         image: ImageArray = renderer.render(scene)
-        for candidate in detector.candidates(image, scene.pose, scene.ground_down_m):
+        for candidate in detector.candidates(image, scene.pose, scene.frame.ground_down_m):
             at_m = _ground((candidate.centre_px[0], candidate.centre_px[1]), scene)
             for animal in scene.animals:
                 if np.linalg.norm(at_m - animal.position_ned_m) < MATCH_M:

@@ -74,13 +74,6 @@ class Arena:
         """Draw places evenly over the area. -> (count, 2) float64 au."""
         return self.places(rng.random((count, 2)))
 
-    def distance_to_border_au(self, places_au: FloatArray) -> FloatArray:
-        """How far inside places are; negative outside. places_au: (..., 2) au -> (...) au."""
-        low, high = self.bounds
-        outside = np.maximum(low - places_au, places_au - high)  # (..., 2)
-        inside: FloatArray = outside.max(axis=-1)
-        return np.where(inside > 0.0, -np.hypot(*np.moveaxis(outside.clip(0.0), -1, 0)), -inside)
-
     def axes(self, size: int) -> FloatArray:
         """Coordinates of a regular grid, both borders included. -> (2, size) float64 au x, y."""
         low, high = self.bounds

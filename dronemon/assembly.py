@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
 from dronemon.events import TruthTold
@@ -50,11 +49,7 @@ async def assemble_and_fly(
     """
     mission = file.mission
     planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
-    names = tuple(target.name for target in mission.targets)
-    recorder = RunRecorder.create(
-        mission_text=_as_flown(mission), mission_name=mission.name, target_names=names, out=out
-    )
-    with recorder:
+    with RunRecorder.create(mission, out=out) as recorder:
         try:
             console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
             console.print("getting ready (the first time code is compiled, for about 15 s)")
@@ -69,7 +64,7 @@ async def assemble_and_fly(
             result,
             truth=truth,
             side_m=mission.area.side_m,
-            target_names=names,
+            target_names=tuple(target.name for target in mission.targets),
             kernel=mission_kernel(mission),
         )
         recorder.finish(result.outcome, summary.as_json())
@@ -99,7 +94,7 @@ async def _with_everything(
         rehearsal = rehearse(mission, detector, planner, interrupts)
         sim = await _start(mission, folder, stack, follow, rehearsal)
         priors_au = _priors(mission, sim)
-        view = stack.enter_context(_view(mission, folder))
+        view = stack.enter_context(FlightView(folder.rrd_path, mission))
         if view.url:
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
@@ -143,18 +138,6 @@ async def _start(
     return sim
 
 
-def _view(mission: Mission, folder: RunFolder) -> FlightView:
-    return FlightView(
-        folder.rrd_path,
-        title=mission.name,
-        targets={target.name: target.appearance for target in mission.targets},
-        camera=mission.camera.model,
-        side_m=mission.area.side_m,
-        live=mission.view.live,
-        port=mission.view.port,
-    )
-
-
 def _priors(mission: Mission, sim: Simulator | None) -> FloatArray:
     """Known positions of the targets. -> (N, 2) au, NaN where unknown."""
     priors_au = np.full((len(mission.targets), 2), np.nan)
@@ -192,10 +175,3 @@ def make_detector(mission: Mission) -> Detector:
     """Finds the mission's targets in its camera's pictures."""
     appearances = [target.appearance for target in mission.targets]
     return DrawnDetector(appearances, mission.camera.model, mission.detector.min_score)
-
-
-def _as_flown(mission: Mission) -> str:
-    """The mission with every default and override, as a file that can be flown again."""
-    return yaml.safe_dump(
-        mission.model_dump(mode="json", exclude_none=True), sort_keys=False, allow_unicode=True
-    )

@@ -50,13 +50,9 @@ class Carrot:
         self._speed_m_s = speed_m_s
         self.window_m = 0.5 * speed_m_s**2 / max_acceleration_m_s2
         self._legs: deque[_Leg] = deque()
-        self._end = start_m
-        self._s_m = 0.0
-
-    @property
-    def end_m(self) -> Point:
+        self.end_m = start_m
         """Last waypoint of the path."""
-        return self._end
+        self._s_m = 0.0
 
     @property
     def remaining_m(self) -> float:
@@ -70,12 +66,12 @@ class Carrot:
 
     def extend(self, waypoint_m: Point) -> None:
         """Add a leg from the last waypoint to this one; one on the same spot adds nothing."""
-        length_m = math.dist(self._end, waypoint_m)
+        length_m = math.dist(self.end_m, waypoint_m)
         if length_m < 1e-6:
             return
         start_m = self._legs[-1].end_m if self._legs else self._s_m
-        self._legs.append(_Leg(self._end, waypoint_m, start_m, length_m))
-        self._end = waypoint_m
+        self._legs.append(_Leg(self.end_m, waypoint_m, start_m, length_m))
+        self.end_m = waypoint_m
 
     def advance(self, duration_s: float, vehicle_m: Point) -> tuple[Point, Point]:
         """Move on. -> carrot's position (north, east) in m, its velocity in m/s."""
@@ -93,7 +89,7 @@ class Carrot:
     def _smoothed(self) -> tuple[Point, Point]:
         """Mean of the path over the window around s, and its derivative by s."""
         if not self._legs:
-            return self._end, (0.0, 0.0)
+            return self.end_m, (0.0, 0.0)
         first_m, last_m = self._legs[0].start_m, self._legs[-1].end_m
         half_m = min(self.window_m, self._s_m - first_m, last_m - self._s_m)
         if half_m < 1e-3:

@@ -30,9 +30,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Event, Measured, Noted
+from dronemon.mission import Mission
 
 MISSION_FILE = "mission.yaml"
 OBSERVATIONS_FILE = "observations.jsonl"
@@ -62,16 +64,13 @@ class RunRecorder:
         self.lost_lines = 0
         self._names = tuple(names)
         self._started = _stamp("seconds")
-        self._has_failed = False
-        self._logs = {name: _AppendOnlyFile(folder.path / name) for name in LINE_FILES}
+        self._logs = {name: (folder.path / name).open("xb", buffering=0) for name in LINE_FILES}
 
     @classmethod
     def create(
         cls,
+        mission: Mission,
         *,
-        mission_text: str,
-        mission_name: str,
-        target_names: Sequence[str],
         root: Path = Path("runs"),
         out: Path | None = None,
         needed_bytes: int = NEEDED_BYTES,
@@ -83,10 +82,11 @@ class RunRecorder:
         """
         is_new = out is None or not out.exists()
         try:
-            path = _new_folder(root, mission_name) if out is None else _chosen_folder(out)
+            path = _new_folder(root, mission.name) if out is None else _chosen_folder(out)
             _check_space(path, needed_bytes)
-            _write_new(path / MISSION_FILE, mission_text)
-            recorder = cls(RunFolder(path=path), target_names, is_new=is_new)
+            _write_new(path / MISSION_FILE, _as_flown(mission))
+            names = [target.name for target in mission.targets]
+            recorder = cls(RunFolder(path=path), names, is_new=is_new)
             recorder._write_summary({"outcome": IN_FLIGHT})
         except OSError as exc:
             raise RecordError(
@@ -130,7 +130,7 @@ class RunRecorder:
     @property
     def is_empty(self) -> bool:
         """Whether no line has been recorded."""
-        return not any(log.size_bytes for log in self._logs.values())
+        return not any(log.tell() for log in self._logs.values())
 
     def discard(self) -> None:
         """Remove a run in which nothing happened; the folder too if it was made for it alone."""
@@ -169,12 +169,11 @@ class RunRecorder:
 
     def _append(self, name: str, record: Mapping[str, object]) -> None:
         try:
-            self._logs[name].append(_json_line(record))
+            _append(self._logs[name], _json_line(record))
         except OSError as exc:
             self.lost_lines += 1
-            if self._has_failed:
+            if self.lost_lines > 1:
                 return
-            self._has_failed = True
             raise RecordError(
                 f"cannot write {self.folder.path / name}: {exc.strerror}; free space on its disk"
             ) from exc
@@ -246,27 +245,24 @@ class RunFolder:
         ]
 
 
-class _AppendOnlyFile:
-    """A file to which whole, synced lines are added; `size_bytes` grows with them."""
+def _append(file: FileIO, line: bytes) -> None:
+    """Add one whole, synced line, or nothing and raise OSError."""
+    end = file.tell()
+    try:
+        _write_all(file, line)
+        os.fsync(file)
+    except OSError:
+        with contextlib.suppress(OSError):
+            file.truncate(end)
+            file.seek(end)
+        raise
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("xb", buffering=0)
-        self.size_bytes = 0
 
-    def append(self, line: bytes) -> None:
-        """Add one line, or nothing and raise OSError."""
-        try:
-            _write_all(self._file, line)
-            os.fsync(self._file)
-        except OSError:
-            with contextlib.suppress(OSError):
-                self._file.truncate(self.size_bytes)
-                self._file.seek(self.size_bytes)
-            raise
-        self.size_bytes += len(line)
-
-    def close(self) -> None:
-        self._file.close()
+def _as_flown(mission: Mission) -> str:
+    """The mission with every default and override, as a file that can be flown again."""
+    return yaml.safe_dump(
+        mission.model_dump(mode="json", exclude_none=True), sort_keys=False, allow_unicode=True
+    )
 
 
 def _now() -> datetime:

@@ -107,11 +107,11 @@ class CameraServer:
         jpeg = await loop.run_in_executor(self._thread, self._photograph, scene)
         if "torn" in self._faults:
             jpeg = jpeg[: len(jpeg) // 2]
-        due_s = scene.time_s + self._faults.get("late", 0.0)
+        due_s = scene.pose.time_s + self._faults.get("late", 0.0)
         # Vehicle time is nobody's event; a reboot sets it back.
-        while scene.time_s <= self._scene().time_s < due_s:  # noqa: ASYNC110
+        while scene.pose.time_s <= self._scene().pose.time_s < due_s:  # noqa: ASYNC110
             await asyncio.sleep(_LATE_CHECK_S)
-        time_s = scene.time_s + self._faults.get("misdate", 0.0)
+        time_s = scene.pose.time_s + self._faults.get("misdate", 0.0)
         return ANSWER.pack(REQUEST, time_s, len(jpeg)) + jpeg
 
     def _photograph(self, scene: Scene) -> bytes:

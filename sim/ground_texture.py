@@ -1,8 +1,8 @@
 """The ground that the simulated camera looks at: a procedural savanna, endless by repetition.
 
 One seeded square tile of texture is fixed to the local NED frame and repeats in both directions, so
-that the same place always
-looks the same. All fields are built in the Fourier domain, which makes them periodic without seams.
+that the same place always looks the same. All fields are built in the Fourier domain, which makes
+them periodic without seams.
 """
 
 from __future__ import annotations

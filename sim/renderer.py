@@ -42,13 +42,13 @@ class Renderer:
 
     def render(self, scene: Scene) -> ImageArray:
         """The picture of a scene. -> (height, width, 3) uint8 BGR"""
-        view = _View(self._camera, scene.pose, scene.ground_down_m)
+        view = _View(self._camera, scene.pose, scene.frame.ground_down_m)
         image = self._draw_ground(view)
         _draw_tape(image, view, scene.frame)
         for animal in scene.animals:
             self._draw_animal(image, view, animal)
         _draw_sky(image, view)
-        return self._expose(image, scene.time_s)
+        return self._expose(image, scene.pose.time_s)
 
     def _draw_ground(self, view: _View) -> ImageArray:
         level = math.log2(1.0 / (view.px_per_m * TEXEL_M))

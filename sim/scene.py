@@ -21,10 +21,8 @@ class Animal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything a picture depends on, at one instant of vehicle time."""
+    """Everything a picture depends on, at the instant of the pose."""
 
-    time_s: float
     pose: Pose
-    ground_down_m: float
     frame: AreaFrame
     animals: tuple[Animal, ...]

@@ -26,6 +26,7 @@ SPRITE_PX_PER_M = 32.0
 NUM_LEVELS = 4
 """Resolutions of each sprite, each half of the one before."""
 
+_PX_PER_M = SPRITE_PX_PER_M * DRAWN_SCALE
 _MARGIN_M = 0.2
 _ANTLERS_M = 0.45
 _TRUNK_HEIGHT = 0.65
@@ -82,25 +83,23 @@ class _Canvas:
 
     x: Field
     y: Field
-    px_per_m: float
 
     @staticmethod
     def around(species: Species) -> _Canvas:
         """Large enough for the whole animal, its outline's centre of area in the middle."""
         reach = species.half_length_m + _MARGIN_M
         breadth = _half_breadth_m(species) + _MARGIN_M
-        px_per_m = SPRITE_PX_PER_M * DRAWN_SCALE
         multiple = 2**NUM_LEVELS
-        columns = math.ceil(reach * px_per_m / multiple) * multiple
-        rows = math.ceil(breadth * px_per_m / multiple) * multiple
-        axis_x = (np.arange(-columns, columns) + 0.5) / px_per_m + species.centre_x_m
-        axis_y = (np.arange(-rows, rows) + 0.5) / px_per_m
+        columns = math.ceil(reach * _PX_PER_M / multiple) * multiple
+        rows = math.ceil(breadth * _PX_PER_M / multiple) * multiple
+        axis_x = (np.arange(-columns, columns) + 0.5) / _PX_PER_M + species.centre_x_m
+        axis_y = (np.arange(-rows, rows) + 0.5) / _PX_PER_M
         grid_y, grid_x = np.meshgrid(axis_y, axis_x, indexing="ij")
-        return _Canvas(x=grid_x.astype(np.float32), y=grid_y.astype(np.float32), px_per_m=px_per_m)
+        return _Canvas(x=grid_x.astype(np.float32), y=grid_y.astype(np.float32))
 
     def inside(self, depth_m: Field) -> Field:
         """Coverage of a shape by the signed depth of each pixel below its edge. -> 0 to 1."""
-        coverage: Field = np.clip(depth_m * self.px_per_m + 0.5, 0.0, 1.0)
+        coverage: Field = np.clip(depth_m * _PX_PER_M + 0.5, 0.0, 1.0)
         return coverage
 
     def disc(self, x_m: float, y_m: float, radius_m: float) -> Field:

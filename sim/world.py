@@ -78,13 +78,7 @@ class World:
             )
             for target, place, heading in zip(self._mission.targets, places, headings, strict=True)
         )
-        return Scene(
-            time_s=pose.time_s,
-            pose=pose,
-            ground_down_m=frame.ground_down_m,
-            frame=frame,
-            animals=animals,
-        )
+        return Scene(pose=pose, frame=frame, animals=animals)
 
 
 def home_place(mission: Mission) -> GeoPoint:
@@ -119,7 +113,7 @@ class TruthFile:
         """Append one scene."""
         frame, pose = scene.frame, scene.pose
         line = {
-            "time_s": scene.time_s,
+            "time_s": pose.time_s,
             "agent_au": frame.ned_to_au(np.array(pose.position_ned_m)).tolist(),
             "targets_au": [
                 frame.ned_to_au(np.array(a.position_ned_m)).tolist() for a in scene.animals

@@ -220,7 +220,7 @@ def test_no_name_is_no_mission(run, words):
     for command in ("check", "fly"):
         code, _, err = run(command, *words)
         assert code == 2
-        assert "no shipped mission has this name" in err
+        assert "no such mission, neither a .yaml file nor shipped" in err
 
 
 def test_output_that_cannot_be_written_ends_nothing(mission):
@@ -249,19 +249,28 @@ def test_where_training_cannot_run_is_told_first(run, tmp_path: Path, words, cod
     assert said in err
 
 
-def test_no_vehicle_is_exit_3_within_the_time_out(run, mission, tmp_path: Path):
+def _silent_urls() -> list[str]:
+    """Where nobody sends and nobody else listens."""
     udp = (socket.AF_INET, socket.SOCK_DGRAM)
     with socket.socket(*udp) as first, socket.socket(*udp) as second:
         first.bind(("127.0.0.1", 0))
         second.bind(("127.0.0.1", 0))
-        ports = first.getsockname()[1], second.getsockname()[1]
-    text = mission("simulation:", "vehicle:\n  connect_timeout_s: 1.0\nsimulation:")
-    vehicle, follow = (f"udpin://127.0.0.1:{port}" for port in ports)
+        return [f"udpin://127.0.0.1:{one.getsockname()[1]}" for one in (first, second)]
+
+
+@pytest.mark.parametrize("has_follower", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_no_vehicle_is_exit_3_within_the_time_out(run, mission, tmp_path: Path, has_follower: bool):
+    vehicle, follow = _silent_urls()
+    path = Path(mission("simulation:", "vehicle:\n  connect_timeout_s: 1.0\nsimulation:"))
+    options = ["--vehicle", vehicle]
+    if has_follower:
+        options += ["--follow", follow]
+    else:
+        text = path.read_text().replace(", prior_au: simulated", "")
+        path.write_text(text + "camera:\n  url: rtsp://127.0.0.1/\n")
     out = tmp_path / "run"
-    code, _, err = run(
-        "fly", "-m", text, "--vehicle", vehicle, "--follow", follow, "--out", str(out)
-    )
-    assert code == 3
+    code, _, err = run("fly", "-m", str(path), *options, "--out", str(out))
+    assert code == 3, err
     assert f"no autopilot heard on {vehicle} after 1 s" in err
     assert err.count("no autopilot heard") == 1
     assert not out.exists()

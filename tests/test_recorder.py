@@ -7,24 +7,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Measured, Noted
+from dronemon.mission import Mission
+from dronemon.mission.schema import Target
 from dronemon.recorder import RUN_FILES, RunFolder, RunRecorder
 from dronemon.types import Measurement
 
 NAMES = ("Bella", "Zuri")
-MISSION = "name: Two animals\n# as the pilot wrote it: °\r\n"
+MISSION = Mission(
+    name="Two animals!",
+    targets=(Target(name="Bella", appearance="cow"), Target(name="Zuri", appearance="zebra")),
+)
 
 
 def create(root: Path, **options: object) -> RunRecorder:
-    return RunRecorder.create(
-        mission_text=MISSION,
-        mission_name="Two animals!",
-        target_names=NAMES,
-        root=root,
-        **options,  # type: ignore[arg-type]
-    )
+    return RunRecorder.create(MISSION, root=root, **options)  # type: ignore[arg-type]
 
 
 def measurement(time_au: float = 0.1) -> Measurement:
@@ -71,7 +71,7 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
         (run.folder.rrd_path).write_bytes(b"RRF2")
         run.finish("landed", {"unc": 0.5, "jsd": float("nan"), "min_ob": np.int64(3)})
     folder = RunFolder.open(run.folder.path)
-    assert folder.mission_text() == MISSION
+    assert Mission.model_validate(yaml.safe_load(folder.mission_text())) == MISSION
     assert list(folder.observations()) == [
         {
             "time_s": 4.0,
@@ -170,9 +170,11 @@ WRITER = """
 import itertools, sys
 from pathlib import Path
 from dronemon.events import Noted
+from dronemon.mission import Mission
+from dronemon.mission.schema import Target
 from dronemon.recorder import RunRecorder
-run = RunRecorder.create(mission_text="m", mission_name="m", target_names=["a"],
-                         out=Path(sys.argv[1]))
+mission = Mission(targets=(Target(name="a", appearance="cow"),))
+run = RunRecorder.create(mission, out=Path(sys.argv[1]))
 for number in itertools.count():
     fields = {"number": number}
     run.take(Noted(time_s=float(number), kind="tick", text="x" * 200, level="INFO", fields=fields))

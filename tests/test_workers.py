@@ -49,6 +49,7 @@ def test_nothing_to_do_needs_no_process() -> None:
     assert list(share_out(abs, [], 4)) == []
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_is_told_with_what_to_do() -> None:
     with (
         closing(share_out(die, [1, 2], 2)) as shared,

@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -43,14 +44,12 @@ _TILE = 512
 """Query points worked on together: with the covariances of all points they stay in cache."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
-    """Fitted processes of b episodes next to each other in a batch: what the functions here give.
+class Fitted(NamedTuple):
+    """Fitted processes of b episodes.
 
     scale: (3,) factor that turns au into the distance r; the others: `_arrange`, `_factorise`
     """
 
-    episodes: slice
     scale: FloatArray
     table: FloatArray
     counts: IntArray
@@ -60,19 +59,20 @@ class Group:
     roots: FloatArray
     weights: FloatArray
 
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """Fitted processes of episodes next to each other in a batch."""
+
+    episodes: slice
+    fitted: Fitted
+
     def predict(self, query: Tensor, mean: Tensor | None, std: Tensor | None) -> None:
         """Write mean and standard deviation, as `gp.Group` has it."""
         points = query[self.episodes].contiguous().numpy()
-        nothing = np.empty((len(points), self.own.shape[1], 0))
+        nothing = np.empty((len(points), self.fitted.own.shape[1], 0))
         _predict(
-            self.table,
-            self.counts,
-            self.own,
-            self.num_own,
-            self.factor,
-            self.roots,
-            self.weights,
-            self.scale,
+            self.fitted,
             points,
             nothing if mean is None else mean[self.episodes].numpy(),
             nothing if std is None else std[self.episodes].numpy(),
@@ -95,24 +95,14 @@ def fit(
 ) -> tuple[Group, int]:
     """Fit some episodes of a batch. -> the group, how many of its covariances have no factor.
 
-    points: (B, N, n, 3) au; values, mask: (B, N, n), all C-contiguous; scale: as in `Group`
+    points: (B, N, n, 3) au; values, mask: (B, N, n), all C-contiguous; scale: as in `Fitted`
     """
     table, counts, own, num_own, levels = _arrange(
         points[episodes], values[episodes], mask[episodes], scale
     )
     factor, roots, weights, num_failed = _factorise(table, counts, own, num_own, levels, jitter)
-    group = Group(
-        episodes=episodes,
-        scale=scale,
-        table=table,
-        counts=counts,
-        own=own,
-        num_own=num_own,
-        factor=factor,
-        roots=roots,
-        weights=weights,
-    )
-    return group, num_failed
+    fitted = Fitted(scale, table, counts, own, num_own, factor, roots, weights)
+    return Group(episodes=episodes, fitted=fitted), num_failed
 
 
 @_compiled()
@@ -299,11 +289,12 @@ def _solve_weights(factor, num_common, part, rows, last, i, weights):
 
 
 @_compiled()
-def _predict(table, counts, own, num_own, factor, roots, weights, scale, query, mean, std):
+def _predict(fitted, query, mean, std):
     """Write posterior mean and standard deviation; of either, nothing if it has no columns.
 
     query: (b, 1 or N, m, 3) au; mean, std: (b, N, m or 0).
     """
+    scale, table, counts, own, num_own, factor, roots, weights = fitted
     num_targets = num_own.shape[1]
     size, num_sets, m = query.shape[:3]
     if num_targets == 0 or m == 0:

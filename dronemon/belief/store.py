@@ -6,16 +6,18 @@ of one, for flight and planners. Both give the same windows, which a test holds 
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.kernel import Matern32
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_AU
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray
 
-DEFAULT_CAPACITY = 60
-"""Measurements in a window of 1.993 · 3 au at one per 0.1 au."""
+_CAPACITY = math.ceil(WINDOW_AU / MEASUREMENT_INTERVAL_AU)
 
 
 class ObservationStore:
@@ -23,58 +25,27 @@ class ObservationStore:
 
     A measurement gives every target one observation: its own position and value 1 where it was
     seen, the agent's position and value 0 where it was not. Each target may have one prior
-    observation besides. A new measurement takes the place of the oldest; the store grows if that
-    one still counts, so irregular measuring loses nothing.
+    observation besides. A new measurement takes the place of the oldest, which no longer counts
+    where one is taken every 0.1 au.
     Source: paper, equation 1 and section III-C.
     """
 
-    def __init__(
-        self,
-        batch: int,
-        num_targets: int,
-        *,
-        window_au: float,
-        capacity: int = DEFAULT_CAPACITY,
-        dtype: torch.dtype = torch.float64,
-        device: torch.device | str = "cpu",
-    ) -> None:
-        shape = (batch, num_targets, 1 + capacity)  # slot 0 holds the prior, the others the ring
-        self.window_au = window_au
-        self._points = torch.zeros((*shape, 3), dtype=dtype, device=device)
-        self._values = torch.zeros(shape, dtype=dtype, device=device)
+    def __init__(self, batch: int, num_targets: int, *, device: torch.device | str = "cpu") -> None:
+        shape = (batch, num_targets, 1 + _CAPACITY)  # slot 0 holds the prior, the others the ring
+        self._points = torch.zeros((*shape, 3), dtype=torch.float64, device=device)
+        self._values = torch.zeros_like(self._points[..., 0])
         self._is_filled = torch.zeros(shape, dtype=torch.bool, device=device)
-        self._measured_au = torch.full((batch, capacity), -torch.inf, dtype=dtype, device=device)
+        self._measured_au = torch.full_like(self._values[:, 0, 1:], -torch.inf)
         self._rows = torch.arange(batch, device=device)
 
-    @property
-    def capacity(self) -> int:
-        """Measurements that fit in before the oldest is replaced or the store grows."""
-        return self._measured_au.shape[1]
-
-    @property
-    def num_targets(self) -> int:
-        """Targets per episode."""
-        return self._points.shape[1]
-
-    def clear(self, episodes: Tensor) -> None:
-        """Forget everything about some episodes. episodes: (B,) bool or indices."""
-        self._is_filled[episodes] = False
-        self._measured_au[episodes] = -torch.inf
-
-    def add_prior(self, known: Tensor, target_au: Tensor, time_au: float = 0.0) -> None:
-        """Set the prior observation of some targets. known: (B, N) bool; target_au: (B, N, 2)."""
-        prior = torch.cat([target_au, torch.full_like(target_au[..., :1], time_au)], dim=-1)
-        self._points[:, :, 0] = torch.where(known[..., None], prior, self._points[:, :, 0])
-        self._values[:, :, 0] = torch.where(known, 1.0, self._values[:, :, 0])
-        self._is_filled[:, :, 0] |= known
+    def add_prior(self, known: Tensor, target_au: Tensor) -> None:
+        """Give places known at time 0. known: (B, N) bool; target_au: (B, N, 2)."""
+        self._points[:, :, 0, :2] = target_au
+        self._values[:, :, 0] = 1.0
+        self._is_filled[:, :, 0] = known
 
     def add(
-        self,
-        time_au: Tensor,
-        agent_au: Tensor,
-        seen: Tensor,
-        target_au: Tensor,
-        active: Tensor | None = None,
+        self, time_au: Tensor, agent_au: Tensor, seen: Tensor, target_au: Tensor, active: Tensor
     ) -> None:
         """Add one measurement to each episode.
 
@@ -82,13 +53,9 @@ class ObservationStore:
         agent_au:  (B, 2)    au
         seen:      (B, N)    bool
         target_au: (B, N, 2) au, read where seen
-        active:    (B,)      bool; false leaves that episode as it is; all by default
+        active:    (B,)      bool; false leaves that episode as it is
         """
-        active = active if active is not None else torch.ones_like(time_au, dtype=torch.bool)
-        oldest_au, slot = self._measured_au.min(dim=1)
-        if bool((active & (time_au - oldest_au < self.window_au)).any()):
-            self._grow()
-            slot = self._measured_au.argmin(dim=1)
+        slot = self._measured_au.argmin(dim=1)
         keep = active[:, None]
         ring = (self._rows, slot)
         self._measured_au[ring] = torch.where(active, time_au, self._measured_au[ring])
@@ -107,15 +74,7 @@ class ObservationStore:
         """
         latest_au = self._measured_au.amax(dim=1).clamp_min(0.0)  # (B,)
         age_au = latest_au[:, None, None] - self._points[..., 2]
-        return self._points, self._values, self._is_filled & (age_au < self.window_au)
-
-    def _grow(self) -> None:
-        """Double the number of measurements that fit in."""
-        pad, extra = torch.nn.functional.pad, self.capacity
-        self._measured_au = pad(self._measured_au, (0, extra), value=-torch.inf)
-        self._points = pad(self._points, (0, 0, 0, extra))
-        self._values = pad(self._values, (0, extra))
-        self._is_filled = pad(self._is_filled, (0, extra))
+        return self._points, self._values, self._is_filled & (age_au < WINDOW_AU)
 
 
 class Belief:

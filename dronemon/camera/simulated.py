@@ -33,7 +33,8 @@ class SimulatedCamera:
 
     def __init__(self, url: str, timeout_s: float) -> None:
         self._url = url
-        self._address = _host_and_port(url)
+        parts = urlsplit(url)
+        self._address = parts.hostname, parts.port
         self._timeout_s = timeout_s
         self._turn = asyncio.Lock()
         self._stream: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
@@ -104,11 +105,3 @@ class SimulatedCamera:
             raise CameraError(
                 f"the camera at {self._url} could not {deed}: {exc}; is the simulator running?"
             ) from exc
-
-
-def _host_and_port(url: str) -> tuple[str, int]:
-    with suppress(ValueError):  # a port that is no number
-        parts = urlsplit(url)
-        if parts.scheme == "tcp" and parts.hostname is not None and parts.port is not None:
-            return parts.hostname, parts.port
-    raise CameraError(f"camera address {url!r} is not of the form tcp://127.0.0.1:5600")

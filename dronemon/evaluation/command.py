@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, TypeVar, cast
@@ -115,9 +114,9 @@ def evaluate_command(
 def _evaluate(options: Options) -> None:
     """Run an evaluation, and say where its results lie or how it goes on."""
     console = Console()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     try:
-        with _sigterm_as_ctrl_c():
-            evaluate(options, console)
+        evaluate(options, console)
     except KeyboardInterrupt:
         Console(stderr=True).print(
             f"stopped; finished episodes are in {options.out}, and the same command goes on from"
@@ -128,16 +127,6 @@ def _evaluate(options: Options) -> None:
         raise typer.Exit(INTERRUPTED) from None
     table = options.out / "table.md"
     console.print(f"{table}: tables; figures and results beside it", soft_wrap=True, markup=False)
-
-
-@contextmanager
-def _sigterm_as_ctrl_c() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGTERM too."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _each(text: str, option: str, read: Callable[[str], T]) -> tuple[T, ...]:

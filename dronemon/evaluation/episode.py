@@ -39,9 +39,10 @@ class Conditions:
     num_neighbours: int = 10
 
     @property
-    def num_measurements(self) -> int:
-        """S: measurements taken within the horizon."""
-        return math.floor(self.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-9)
+    def times_au(self) -> FloatArray:
+        """(S+1,) time of the start and of each measurement within the horizon."""
+        count = math.floor(self.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-9)
+        return np.arange(count + 1, dtype=np.float64) * MEASUREMENT_INTERVAL_AU
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,25 +59,15 @@ class Episode:
     observed: BoolArray
     decisions_s: FloatArray
 
-    @property
-    def times_au(self) -> FloatArray:
-        """(S+1,) time of the start and of each measurement."""
-        return measurement_times_au(len(self.agent_au) - 1)
-
     def metrics(self) -> EpisodeMetrics:
         """Score the belief of all true targets at every measurement."""
         return episode_metrics(
-            self.times_au,
+            self.conditions.times_au,
             self.agent_au,
             self.targets_au,
             self.observed,
             prior=self.conditions.prior,
         )
-
-
-def measurement_times_au(count: int) -> FloatArray:
-    """Times of the start and of the first measurements. -> (count + 1,) au."""
-    return np.arange(count + 1, dtype=np.float64) * MEASUREMENT_INTERVAL_AU
 
 
 def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) -> Episode:
@@ -126,20 +117,24 @@ class _Agent:
         self, start_au: FloatArray, targets_at: TargetsAt, conditions: Conditions, told: Prior
     ) -> None:
         self._conditions = conditions
-        self._times_au = measurement_times_au(conditions.num_measurements)
+        self._times_au = conditions.times_au
         self._targets_au = targets_at(self._times_au)
         self._agent_au = [start_au]
         self.position_au = start_au
         self._residual_au = 0.0
         self._node: int | None = 0  # the roadmap's first node is the start
-        self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
-        self.knowledge = _Knowledge(self._targets_au[0], told)
+        first_au, num_targets = self._targets_au[0], self._targets_au.shape[1]
+        self._observed = [np.zeros(num_targets, dtype=np.bool_)]
+        self._known = [] if told == "none" else list(range(num_targets))
+        places_au = first_au if told == "full" else np.full_like(first_au, np.nan)
+        self._sightings = Sightings(places_au[self._known])
+        self._belief = Belief(self._sightings)
 
     def brief(self, rng: np.random.Generator) -> Briefing:
         """Tell what is known at the start."""
         return Briefing(
-            num_targets=self.knowledge.sightings.num_targets,
-            priors_au=self.knowledge.sightings.priors_au.copy(),
+            num_targets=self._sightings.num_targets,
+            priors_au=self._sightings.priors_au.copy(),
             start_au=self._agent_au[0].copy(),
             horizon_au=self._conditions.horizon_au,
             rng=rng,
@@ -158,8 +153,8 @@ class _Agent:
             flown_au=time_au,
             position_au=self.position_au.copy(),
             node=self._node,
-            sightings=self.knowledge.sightings,
-            belief=self.knowledge.belief,
+            sightings=self._sightings,
+            belief=self._belief,
             roadmap=roadmap,
             remaining_au=max(0.0, self._conditions.horizon_au - time_au),
         )
@@ -174,8 +169,21 @@ class _Agent:
             truth = measure(float(self._times_au[index]), position_au, self._targets_au[index])
             self._agent_au.append(position_au)
             self._observed.append(truth.seen)
-            self.knowledge.take(truth)
+            self._learn(truth)
         self.position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
+
+    def _learn(self, truth: Measurement) -> None:
+        """Let targets join that are seen for the first time; log what was seen of those known."""
+        seen = np.flatnonzero(truth.seen).tolist()
+        self._known += [target for target in seen if target not in self._known]
+        self._sightings.add(
+            Measurement(
+                time_au=truth.time_au,
+                agent_au=truth.agent_au,
+                seen=truth.seen[self._known],
+                target_au=truth.target_au[self._known],
+            )
+        )
 
     def episode(self, decisions_s: FloatArray) -> Episode:
         """Give the record of a finished episode."""
@@ -185,30 +193,4 @@ class _Agent:
             targets_au=self._targets_au,
             observed=np.stack(self._observed),
             decisions_s=decisions_s,
-        )
-
-
-class _Knowledge:
-    """What the agent knows of the targets: which of the true ones, in which order, and its belief.
-
-    first_au: (N, 2) au true positions at the start
-    """
-
-    def __init__(self, first_au: FloatArray, prior: Prior) -> None:
-        self._known = [] if prior == "none" else list(range(len(first_au)))
-        places_au = first_au if prior == "full" else np.full_like(first_au, np.nan)
-        self.sightings = Sightings(places_au[self._known])
-        self.belief = Belief(self.sightings)
-
-    def take(self, truth: Measurement) -> None:
-        """Let targets join that are seen for the first time; log what was seen of those known."""
-        seen = np.flatnonzero(truth.seen).tolist()
-        self._known += [target for target in seen if target not in self._known]
-        self.sightings.add(
-            Measurement(
-                time_au=truth.time_au,
-                agent_au=truth.agent_au,
-                seen=truth.seen[self._known],
-                target_au=truth.target_au[self._known],
-            )
         )

@@ -15,10 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from dronemon.errors import RecordError
 from dronemon.evaluation.episode import Episode, fly_episode
-from dronemon.evaluation.options import EpisodeSpec, Key, Options, PlannerSpec
+from dronemon.evaluation.options import EpisodeSpec, Options, PlannerSpec
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, append_result, load_results
-from dronemon.planner import Planner
+from dronemon.planner import Planner, create_planner
 from dronemon.version import code_version
 from dronemon.workers import share_out
 from dronemon.world import Instance
@@ -44,11 +44,10 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
     path = options.out / "results.jsonl"
     results = load_results(path)
     specs = list(options.episodes())
-    missing = [spec for spec in specs if not _is_done(spec, results, options)]
+    missing = [s for s in specs if s.key not in results or (s.path and not s.path.is_file())]
     again = set(missing)
     _warn_of_other_code([results[spec.key] for spec in specs if spec not in again], path, console)
-    jobs = [(spec, _episode_path(spec, options)) for spec in missing]
-    flights = share_out(partial(_run, code=code_version()), jobs, options.workers)
+    flights = share_out(partial(_run, code=code_version()), missing, options.workers)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     bars = Progress(*columns, TimeRemainingColumn(), console=console)
     with bars as progress, closing(flights) as flown:
@@ -110,28 +109,17 @@ def _warn_of_other_code(kept: Sequence[Result], path: Path, console: Console) ->
         )
 
 
-def _is_done(spec: EpisodeSpec, results: dict[Key, Result], options: Options) -> bool:
-    path = _episode_path(spec, options)
-    return spec.key in results and (path is None or path.is_file())
-
-
-def _episode_path(spec: EpisodeSpec, options: Options) -> Path | None:
-    """Where the episode's arrays go, if they are kept."""
-    return options.out / "episodes" / spec.file_name if options.save_episodes else None
-
-
 @cache
 def _planner(spec: PlannerSpec, settings: str) -> Planner:
     """One planner serves all episodes of a process; `settings` changes with its weights."""
-    return spec.create()
+    return create_planner(spec.kind, checkpoint=spec.checkpoint)
 
 
-def _run(job: tuple[EpisodeSpec, Path | None], *, code: str) -> Result:
-    """Fly and score one episode, and keep its arrays if a path is given."""
-    spec, path = job
+def _run(spec: EpisodeSpec, *, code: str) -> Result:
+    """Fly and score one episode, and keep its arrays if they have a path."""
     episode = fly_spec(spec)
     metrics = episode.metrics()
-    if path is not None:
+    if (path := spec.path) is not None:
         path.parent.mkdir(exist_ok=True)
         partial = path.with_suffix(f".{os.getpid()}.part")
         with partial.open("wb") as file:

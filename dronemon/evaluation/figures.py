@@ -125,11 +125,10 @@ def draw_overview(episode: Episode, instant: int, title: str, path: Path) -> Non
 
 def believe(episode: Episode, instant: int) -> FloatArray:
     """Mean of every target's belief at one measurement. -> (N, 40, 40), x first."""
-    num_targets = episode.targets_au.shape[1]
     first_au = episode.targets_au[0]
     is_placed = episode.conditions.prior == "full"
     sightings = Sightings(first_au if is_placed else np.full_like(first_au, np.nan))
-    times_au = episode.times_au
+    times_au = episode.conditions.times_au
     for index in range(1, instant + 1):
         seen = episode.observed[index]
         sightings.add(
@@ -143,7 +142,7 @@ def believe(episode: Episode, instant: int) -> FloatArray:
     points_au = ARENA.grid(GRID_SIZE)
     now_au = np.full((len(points_au), 1), times_au[instant])
     mean = Belief(sightings).mean(np.concatenate([points_au, now_au], axis=1))
-    return mean.reshape(num_targets, GRID_SIZE, GRID_SIZE)
+    return mean.reshape(-1, GRID_SIZE, GRID_SIZE)
 
 
 def _draw_truth(panel: Axes, episode: Episode, instant: int, targets: Sequence[int]) -> None:
@@ -164,12 +163,11 @@ def _draw_agent(panel: Axes, agent_au: FloatArray) -> None:
 
 def _draw_distances(panel: Axes, episode: Episode, instant: int) -> None:
     """Plot the distance from the agent to each target; below the dashed line it is in view."""
+    times_au = episode.conditions.times_au
     distances_au = np.linalg.norm(episode.targets_au - episode.agent_au[:, None], axis=-1)
     for target in range(distances_au.shape[1]):
-        panel.plot(
-            episode.times_au, distances_au[:, target], color=COLOURS(target % 10), linewidth=0.9
-        )
+        panel.plot(times_au, distances_au[:, target], color=COLOURS(target % 10), linewidth=0.9)
     panel.axhline(SENSOR_RADIUS_AU, color="black", linestyle="--", linewidth=0.8)
-    panel.axvline(episode.times_au[instant], color="grey", linewidth=0.8)
+    panel.axvline(times_au[instant], color="grey", linewidth=0.8)
     panel.set_xlabel("trajectory length (au)")
     panel.set_ylabel("distance (au)")

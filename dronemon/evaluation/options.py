@@ -15,7 +15,7 @@ from dronemon import __version__
 from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
-from dronemon.planner import Planner, create_planner, has_weights, planner_names
+from dronemon.planner import create_planner, has_weights, planner_names
 from dronemon.problem import Prior
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
@@ -70,16 +70,13 @@ class PlannerSpec:
             return None
         return hashlib.sha256(find_checkpoint(self.checkpoint).read_bytes()).hexdigest()
 
-    def create(self) -> Planner:
-        """Make it. Raises OptionError for an unknown one, CheckpointMismatch for bad weights."""
-        return create_planner(self.kind, checkpoint=self.checkpoint)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeSpec:
     """One episode to fly.
 
     settings: digest of all else that its outcome depends on
+    folder:   where its arrays are kept, if they are
     """
 
     planner: PlannerSpec
@@ -87,6 +84,7 @@ class EpisodeSpec:
     seed: int
     conditions: Conditions
     settings: str
+    folder: Path | None
 
     @property
     def key(self) -> Key:
@@ -94,14 +92,16 @@ class EpisodeSpec:
         return self.planner.method, self.cell, self.seed, self.settings
 
     @property
-    def file_name(self) -> str:
-        """Name of the file of this episode's arrays."""
+    def path(self) -> Path | None:
+        """The file of this episode's arrays, if they are kept."""
+        if self.folder is None:
+            return None
         cell = self.cell
         name = (
             f"{self.planner.method}_N{cell.num_targets}_{cell.speed_ratio}_{cell.prior}"
             f"_seed{self.seed}_{self.settings}.npz"
         )
-        return name.replace(":", "-").replace("/", "-")
+        return self.folder / name.replace(":", "-").replace("/", "-")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +152,7 @@ class Options:
             f"--horizon {self.horizon_au:g} is not 0.1 to 1000 au",
         )
         for planner in self.planners:
-            planner.create()
+            create_planner(planner.kind, checkpoint=planner.checkpoint)
 
     @property
     def cells(self) -> list[Cell]:
@@ -196,9 +196,13 @@ class Options:
             horizon_au=self.horizon_au,
             num_nodes=self.num_nodes,
         )
-        settings = self._settings[planner]
         return EpisodeSpec(
-            planner=planner, cell=cell, seed=seed, conditions=conditions, settings=settings
+            planner=planner,
+            cell=cell,
+            seed=seed,
+            conditions=conditions,
+            settings=self._settings[planner],
+            folder=self.out / "episodes" if self.save_episodes else None,
         )
 
 

@@ -47,7 +47,11 @@ def write_tables(
     """
     rows = average_by_cell(results)
     cells = {row.cell for row in rows}
-    published = _renamed(r for r in published_rows() if r.cell in cells and is_as_published)
+    published = [
+        replace(row, method=f"paper: {row.method}")  # not to be mistaken for ours
+        for row in published_rows()
+        if row.cell in cells and is_as_published
+    ]
     differences = paired_differences(results)
     _write_csv(out / "table.csv", _table_records([*rows, *published]))
     _write_csv(out / "paired.csv", _difference_records(differences))
@@ -72,11 +76,6 @@ def write_tables(
     ]
     (out / "table.md").write_text("\n".join([*title, *body]), encoding="utf-8")
     return verdicts
-
-
-def _renamed(published: Iterable[Row]) -> list[Row]:
-    """Published rows under names that cannot be mistaken for ours."""
-    return [replace(row, method=f"paper: {row.method}") for row in published]
 
 
 def _write_csv(path: Path, records: list[dict[str, str]]) -> None:

@@ -19,12 +19,9 @@ def mavlink_url_problem(url: str) -> str | None:
             f"serial://DEVICE:BAUD; did you mean {guess}://{rest}?"
         )
     if scheme == "serial":
-        is_right = re.fullmatch(r"[^\s:]+(:\d+)?", rest) is not None
-        return (
-            None
-            if is_right
-            else f"{url!r} is not serial://DEVICE:BAUD, as in serial:///dev/ttyACM0:57600"
-        )
+        if re.fullmatch(r"[^\s:]+(:\d+)?", rest):
+            return None
+        return f"{url!r} is not serial://DEVICE:BAUD, as in serial:///dev/ttyACM0:57600"
     if match is None:
         return f"{url!r} is not {scheme}://IP:PORT, such as {scheme}://127.0.0.1:14540"
     if not 0 < int(match[2]) < 65536:

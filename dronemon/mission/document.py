@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import difflib
-import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -22,6 +21,8 @@ Model = TypeVar("Model", bound=BaseModel)
 KeyPath = tuple[str | int, ...]
 Problem = tuple[KeyPath, str]
 """A key and what is wrong with it."""
+Entry = tuple[KeyPath, int, bool]
+"""A key or an item, its line, and whether its mapping has the key already."""
 Overrides = Mapping[tuple[str, str], tuple[str, object]]
 """Section and key -> name and value of a command line option, as if it stood in the file."""
 _MAX_BYTES = 1_000_000
@@ -34,13 +35,14 @@ class Document:
 
     kind:    what such a file is called
     data:    its content, options included
+    entries: its keys and items, in the order of the file
     options: keys that came by an option -> its name
     """
 
     path: Path
     kind: str
-    root: yaml.Node
     data: dict[str, Any]
+    entries: tuple[Entry, ...]
     options: Mapping[KeyPath, str]
 
     @classmethod
@@ -69,7 +71,7 @@ class Document:
             if isinstance(given, dict):
                 given[key] = value
         options: dict[KeyPath, str] = {keys: name for keys, (name, _) in overrides.items()}
-        return cls(path=path, kind=kind, root=root, data=data, options=options)
+        return cls(path=path, kind=kind, data=data, entries=tuple(_entries(root)), options=options)
 
     def validate(
         self, model: type[Model], check: Callable[[Model], Iterable[Problem]] = lambda _: ()
@@ -82,8 +84,9 @@ class Document:
         """
         told = [self._tell(*problem) for problem in _all_problems(model, self.data, check)]
         told += [
-            (line, f"{self.path}:{line}: {key}: given twice; remove one")
-            for line, key in _given_twice(self.root)
+            (line, f"{self.path}:{line}: {key_path[-1]}: given twice; remove one")
+            for key_path, line, is_again in self.entries
+            if is_again
         ]
         if told:
             raise MissionFileError("\n".join(text for _, text in sorted(told, key=lambda t: t[0])))
@@ -97,17 +100,11 @@ class Document:
         """The line of a key, 0 for an option, and the whole message."""
         if option := self.options.get(key_path[:2]):
             return 0, f"{option}: {message}"
-        keys, line = [], 1
-        node: yaml.Node | None = self.root
-        for key in key_path:
-            found = _child(node, key)
-            if found is None:
-                keys.append(str(key))  # not in the file
-                node = None
-                continue
-            keys.append(f"[{key}]" if isinstance(key, int) else key)
-            line, node = found
-        name = ".".join(str(key) for key in keys).replace(".[", "[") or self.kind.split()[0]
+        lines = {keys: line for keys, line, is_again in self.entries if not is_again}
+        above = (key_path[:n] for n in range(len(key_path), 0, -1))
+        line = next((lines[keys] for keys in above if keys in lines), 1)
+        name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in key_path)
+        name = name.removeprefix(".") or self.kind.split()[0]
         return line, f"{self.path}:{line}: {name}: {message}"
 
 
@@ -180,28 +177,17 @@ def _refuse_traps(path: Path, text: str) -> None:
             raise MissionFileError(f"{path}:{line}: {what}")
 
 
-def _given_twice(node: yaml.Node) -> Iterator[tuple[int, str]]:
-    """Line and name of each key that its mapping has already."""
+def _entries(node: yaml.Node, above: KeyPath = ()) -> Iterator[Entry]:
+    inner: list[tuple[str | int, yaml.Node, yaml.Node]] = []
     if isinstance(node, yaml.MappingNode):
-        seen: set[str] = set()
-        for key, value in node.value:
-            if key.value in seen:
-                yield key.start_mark.line + 1, key.value
-            seen.add(key.value)
-            yield from _given_twice(value)
+        inner = [(key.value, key, value) for key, value in node.value]
     elif isinstance(node, yaml.SequenceNode):
-        for item in node.value:
-            yield from _given_twice(item)
-
-
-def _child(node: yaml.Node | None, key: str | int) -> tuple[int, yaml.Node] | None:
-    if isinstance(node, yaml.MappingNode):
-        for key_node, value in node.value:
-            if key_node.value == key:
-                return key_node.start_mark.line + 1, value
-    if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
-        return node.value[key].start_mark.line + 1, node.value[key]
-    return None
+        inner = [(index, item, item) for index, item in enumerate(node.value)]
+    seen: set[str | int] = set()
+    for key, marked, value in inner:
+        yield (*above, key), marked.start_mark.line + 1, key in seen
+        seen.add(key)
+        yield from _entries(value, (*above, key))
 
 
 def _explain(model: Any, error: dict[str, Any]) -> str:
@@ -231,18 +217,12 @@ def _fields(model: Any, key_path: KeyPath) -> Any:
     """The keys, and what is said of them, of the section that a key lies in."""
     for key in key_path[:-1]:
         if isinstance(key, str):
-            model = _model_of(model.model_fields[key].annotation)
+            annotation = model.model_fields[key].annotation
+            inside = (annotation, *typing.get_args(annotation))  # tuple[Target, ...] has a Target
+            model = next(a for a in inside if isinstance(a, type) and issubclass(a, BaseModel))
     return model.model_fields
 
 
 def _is_key(part: str | int) -> bool:
     """Whether a part of a path is a key or an index, and no union's branch, such as tuple[...]."""
     return isinstance(part, int) or part.isidentifier()
-
-
-def _model_of(annotation: Any) -> Any:
-    """The section model inside an annotation such as tuple[Target, ...]."""
-    if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
-        return annotation
-    inner = typing.get_args(annotation)
-    return next(a for a in inner if isinstance(a, type) and issubclass(a, BaseModel))

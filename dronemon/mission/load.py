@@ -38,20 +38,15 @@ def find_mission(name: str) -> Path:
 
     Raises MissionFileError if there is none.
     """
-    path = Path(name)
-    if path.suffix in {".yaml", ".yml"} or path.parent != Path():
-        if path.is_file():
-            return path
+    path, missions = Path(name), shipped_missions()
+    is_path = path.suffix in {".yaml", ".yml"} or path.parent != Path()
+    found = path if is_path else missions.get(name)
+    if found is None or not found.is_file():
         raise MissionFileError(
-            f"{path}: no such mission file; shipped missions are: {', '.join(shipped_missions())}"
+            f"{name!r}: no such mission, neither a .yaml file nor shipped; shipped missions are: "
+            f"{', '.join(missions)}"
         )
-    missions = shipped_missions()
-    if name in missions:
-        return missions[name]
-    raise MissionFileError(
-        f"{name!r}: no shipped mission has this name; there are: {', '.join(missions)} "
-        "(or give the path of a .yaml file)"
-    )
+    return found
 
 
 def shipped_missions() -> dict[str, Path]:

@@ -24,27 +24,26 @@ _GRAVITY_M_S2 = 9.81
 class Section(BaseModel):
     """A part of a mission file: immutable, and unknown keys are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+    )
 
 
 class Area(Section):
     """The monitored square. Without latitude and longitude its centre is home."""
 
-    side_m: float = Field(
-        200.0, ge=10.0, le=20_000.0, description="Length of the square's side; one au."
-    )
-    heading_deg: float = Field(
-        0.0,
-        ge=-360.0,
-        le=360.0,
-        description="Clockwise turn of the square's north side from north.",
-    )
-    latitude_deg: float | None = Field(
-        None, ge=-90.0, le=90.0, description="Latitude of the centre; home if absent."
-    )
-    longitude_deg: float | None = Field(
-        None, ge=-180.0, le=180.0, description="Longitude of the centre; home if absent."
-    )
+    side_m: float = Field(200.0, ge=10.0, le=20_000.0)
+    """Length of the square's side; one au."""
+    heading_deg: float = Field(0.0, ge=-360.0, le=360.0)
+    """Clockwise turn of the square's north side from north."""
+    latitude_deg: float | None = Field(None, ge=-90.0, le=90.0)
+    """Latitude of the centre; home if absent."""
+    longitude_deg: float | None = Field(None, ge=-180.0, le=180.0)
+    """Longitude of the centre; home if absent."""
 
     @model_validator(mode="after")
     def _both_or_neither(self) -> Area:
@@ -59,41 +58,22 @@ class Area(Section):
 class Flight(Section):
     """How the drone flies."""
 
-    altitude_m: float = Field(
-        45.0, ge=2.0, le=500.0, description="Height above the take-off point on patrol."
-    )
-    cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0, description="Ground speed on patrol.")
-    max_acceleration_m_s2: float = Field(
-        2.0,
-        ge=0.5,
-        le=10.0,
-        description="Horizontal acceleration that guidance asks for; the drone, and the camera "
-        "with it, banks for it.",
-    )
-    horizon_au: float | None = Field(
-        None,
-        gt=0.0,
-        le=1000.0,
-        description="Patrol length in sides of the area; 30 if horizon_min is absent too.",
-    )
-    horizon_min: float | None = Field(
-        None,
-        gt=0.0,
-        le=600.0,
-        description="Patrol length in minutes of cruise, instead of horizon_au.",
-    )
-    return_battery: Fraction = Field(
-        0.25, description="Battery level (0 to 1) at which the drone returns."
-    )
-    endurance_min: float = Field(
-        30.0,
-        gt=0.0,
-        le=600.0,
-        description="Flight time of a full battery; the check before take-off uses it.",
-    )
-    start_au: Place | None = Field(
-        None, description="Where the patrol starts, [x, y] from 0 to 1; drawn if absent."
-    )
+    altitude_m: float = Field(45.0, ge=2.0, le=500.0)
+    """Height above the take-off point on patrol."""
+    cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0)
+    """Ground speed on patrol."""
+    max_acceleration_m_s2: float = Field(2.0, ge=0.5, le=10.0)
+    """Horizontal acceleration that guidance asks for; drone and camera bank for it."""
+    horizon_au: float | None = Field(None, gt=0.0, le=1000.0)
+    """Patrol length in sides of the area; 30 if horizon_min is absent too."""
+    horizon_min: float | None = Field(None, gt=0.0, le=600.0)
+    """Patrol length in minutes of cruise, instead of horizon_au."""
+    return_battery: Fraction = 0.25
+    """Battery level (0 to 1) at which the drone returns."""
+    endurance_min: float = Field(30.0, gt=0.0, le=600.0)
+    """Flight time of a full battery; the check before take-off uses it."""
+    start_au: Place | None = None
+    """Where the patrol starts, [x, y] from 0 to 1; drawn if absent."""
 
     @model_validator(mode="after")
     def _one_horizon(self) -> Flight:
@@ -110,35 +90,20 @@ class Flight(Section):
 class Vehicle(Section):
     """The vehicle and the limits on waiting for it."""
 
-    url: str = Field(
-        "mock",
-        description="`mock`, or where MAVLink comes from: udpin://IP:PORT, tcpout://IP:PORT, "
-        "serial://DEVICE:BAUD.",
-    )
-    system_id: int | None = Field(
-        None,
-        ge=1,
-        le=255,
-        description="MAVLink system id of the vehicle; needed where several are heard.",
-    )
-    speed_up: float = Field(
-        15.0, ge=1.0, le=20.0, description="How much faster than real time the mock flies."
-    )
-    connect_timeout_s: float = Field(
-        10.0, gt=0.0, le=300.0, description="Wall-clock wait for the first heartbeat."
-    )
-    ready_timeout_s: float = Field(
-        60.0,
-        gt=0.0,
-        le=600.0,
-        description="Wall-clock wait for sensors, position and arming checks.",
-    )
-    command_timeout_s: float = Field(
-        10.0, ge=3.0, le=120.0, description="Wait until telemetry confirms a command."
-    )
-    link_loss_timeout_s: float = Field(
-        5.0, ge=1.0, le=60.0, description="Silence after which the link counts as lost."
-    )
+    url: str = "mock"
+    """`mock`, or a MAVLink URL: udpin://IP:PORT, tcpout://IP:PORT, serial://DEVICE:BAUD."""
+    system_id: int | None = Field(None, ge=1, le=255)
+    """MAVLink system id of the vehicle; needed where several are heard."""
+    speed_up: float = Field(15.0, ge=1.0, le=20.0)
+    """How much faster than real time the mock flies."""
+    connect_timeout_s: float = Field(10.0, gt=0.0, le=300.0)
+    """Wall-clock wait for the first heartbeat."""
+    ready_timeout_s: float = Field(60.0, gt=0.0, le=600.0)
+    """Wall-clock wait for sensors, position and arming checks."""
+    command_timeout_s: float = Field(10.0, ge=3.0, le=120.0)
+    """Wait until telemetry confirms a command."""
+    link_loss_timeout_s: float = Field(5.0, ge=1.0, le=60.0)
+    """Silence after which the link counts as lost."""
 
     @field_validator("url")
     @classmethod
@@ -156,20 +121,21 @@ class Vehicle(Section):
 class Camera(Section):
     """The downward camera."""
 
-    width_px: int = Field(640, ge=64, le=8192, description="Width of the pictures.")
-    height_px: int = Field(480, ge=64, le=8192, description="Height of the pictures.")
+    width_px: int = Field(640, ge=64, le=8192)
+    """Width of the pictures."""
+    height_px: int = Field(480, ge=64, le=8192)
+    """Height of the pictures."""
     url: str = Field(
         "simulated",
         description="`simulated`, or where pictures come from: rtsp://..., udp://..., a video file "
         "(its path from this file) or the number of a local camera.",
     )
-    latency_s: float = Field(
-        0.0, ge=0.0, le=5.0, description="Age of a picture when it arrives; not for the simulated."
-    )
-    horizontal_fov_deg: float = Field(
-        90.0, ge=10.0, le=150.0, description="Angle of view from the left to the right edge."
-    )
-    timeout_s: float = Field(5.0, gt=0.0, le=60.0, description="Wall-clock wait for a picture.")
+    latency_s: float = Field(0.0, ge=0.0, le=5.0)
+    """Age of a picture when it arrives; not for the simulated."""
+    horizontal_fov_deg: float = Field(90.0, ge=10.0, le=150.0)
+    """Angle of view from the left to the right edge."""
+    timeout_s: float = Field(5.0, gt=0.0, le=60.0)
+    """Wall-clock wait for a picture."""
 
     @property
     def is_simulated(self) -> bool:
@@ -189,13 +155,15 @@ class Camera(Section):
 class Detector(Section):
     """How animals are found in pictures."""
 
-    min_score: Fraction = Field(0.5, description="Detections less certain than this are dropped.")
+    min_score: Fraction = 0.5
+    """Detections less certain than this are dropped."""
 
 
 class Target(Section):
     """One animal to watch."""
 
-    name: str = Field(min_length=1, max_length=40, description="What records and tables call it.")
+    name: str = Field(min_length=1, max_length=40)
+    """What records and tables call it."""
     appearance: Appearance = Field(
         description="What it looks like, one target at most as each of "
         f"{', '.join(APPEARANCES)}: the detector knows it by that."
@@ -214,30 +182,26 @@ class Belief(Section):
     The search planners look ahead with the default kernel, whatever stands here.
     """
 
-    length_scale_au: float = Field(
-        LENGTH_SCALE_AU, gt=0.0, le=1.0, description="Spatial length scale."
-    )
-    time_scale_au: float = Field(
-        TIME_SCALE_AU, gt=0.0, le=100.0, description="Temporal length scale."
-    )
+    length_scale_au: float = Field(LENGTH_SCALE_AU, gt=0.0, le=1.0)
+    """Spatial length scale."""
+    time_scale_au: float = Field(TIME_SCALE_AU, gt=0.0, le=100.0)
+    """Temporal length scale."""
 
 
 class Roadmap(Section):
     """The random roadmap."""
 
-    num_nodes: int = Field(200, ge=10, le=2000, description="Places that it joins.")
-    num_neighbours: int = Field(
-        10, ge=2, le=50, description="Nearest neighbours each node is joined to, itself included."
-    )
+    num_nodes: int = Field(200, ge=10, le=2000)
+    """Places that it joins."""
+    num_neighbours: int = Field(10, ge=2, le=50)
+    """Nearest neighbours each node is joined to, itself included."""
 
 
 class Planner(Section):
     """What chooses the waypoints."""
 
-    kind: str = Field(
-        "search",
-        description="Name of a planner, which `dronemon planners` lists, or package.module:Class.",
-    )
+    kind: str = "search"
+    """Name of a planner, which `dronemon planners` lists, or package.module:Class."""
     checkpoint: str | None = Field(
         None,
         description="Trained weights of a learned planner: a path from this file, or the name of "
@@ -248,22 +212,18 @@ class Planner(Section):
 class Simulation(Section):
     """The simulated world; a real vehicle over real animals ignores it."""
 
-    seed: int = Field(
-        0, ge=0, description="Root of all that is drawn: world, start, roadmap, planner."
-    )
-    speed_ratio: float = Field(0.05, ge=0.0, lt=1.0, description="Targets' speed over the drone's.")
-    wind_m_s: float = Field(0.0, ge=0.0, le=15.0, description="Mean wind speed.")
-    wind_from_deg: float = Field(
-        270.0, ge=0.0, le=360.0, description="Where it comes from, clockwise from north."
-    )
-    position_noise_m: float = Field(
-        0.15, ge=0.0, le=5.0, description="Error of the estimated position, one sigma per axis."
-    )
-    faults: Annotated[tuple[str, ...], Field(strict=False)] = Field(
-        (),
-        max_length=100,
-        description="Things to go wrong: KIND[=VALUE][@SECONDS after arming][+DURATION].",
-    )
+    seed: int = Field(0, ge=0)
+    """Root of all that is drawn: world, start, roadmap, planner."""
+    speed_ratio: float = Field(0.05, ge=0.0, lt=1.0)
+    """Targets' speed over the drone's."""
+    wind_m_s: float = Field(0.0, ge=0.0, le=15.0)
+    """Mean wind speed."""
+    wind_from_deg: float = Field(270.0, ge=0.0, le=360.0)
+    """Where it comes from, clockwise from north."""
+    position_noise_m: float = Field(0.15, ge=0.0, le=5.0)
+    """Error of the estimated position, one sigma per axis."""
+    faults: Annotated[tuple[str, ...], Field(strict=False)] = Field((), max_length=100)
+    """Things to go wrong: KIND[=VALUE][@SECONDS after arming][+DURATION]."""
 
     @field_validator("faults")
     @classmethod
@@ -276,35 +236,31 @@ class Simulation(Section):
 class View(Section):
     """The live view."""
 
-    live: bool = Field(False, description="Serve the Rerun viewer while flying.")
-    port: int = Field(
-        9876, ge=1024, le=65535, description="Port of the viewer's data on 127.0.0.1."
-    )
+    live: bool = False
+    """Serve the Rerun viewer while flying."""
+    port: int = Field(9876, ge=1024, le=65535)
+    """Port of the viewer's data on 127.0.0.1."""
 
 
 class Record(Section):
     """The run folder."""
 
-    pictures: bool = Field(True, description="Keep the pictures in flight.rrd.")
+    pictures: bool = True
+    """Keep the pictures in flight.rrd."""
 
 
 class Mission(Section):
     """One flight."""
 
-    name: str = Field(
-        "mission", min_length=1, max_length=80, description="What records and tables call it."
-    )
+    name: str = Field("mission", min_length=1, max_length=80)
+    """What records and tables call it."""
     area: Area = Area()
     flight: Flight = Flight()
     vehicle: Vehicle = Vehicle()
     camera: Camera = Camera()
     detector: Detector = Detector()
-    targets: tuple[Target, ...] = Field(
-        strict=False,
-        min_length=1,
-        max_length=len(APPEARANCES),
-        description="The animals to watch, each with its own name and appearance.",
-    )
+    targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=len(APPEARANCES))
+    """The animals to watch, each with its own name and appearance."""
     belief: Belief = Belief()
     roadmap: Roadmap = Roadmap()
     planner: Planner = Planner()

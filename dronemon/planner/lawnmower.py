@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dronemon.arena import ARENA, Arena
-from dronemon.errors import OptionError
 from dronemon.planner.motion import ARRIVED_AU
 from dronemon.planner.planner import Briefing, Snapshot, Waypoint
 from dronemon.types import FloatArray
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
     from dronemon.roadmap import Roadmap
 
 NUM_LANES = 4
-"""Chosen among 2 to 10 on development seeds; see `sweep_track`."""
+"""Even, so that a sweep closes; chosen among 2 to 10 on development seeds, see `sweep_track`."""
 
 
-def sweep_track(arena: Arena = ARENA, num_lanes: int = NUM_LANES) -> FloatArray:
-    """Corners of a closed sweep of the arena, flown round and round. -> (2 num_lanes, 2) au.
+def sweep_track(arena: Arena = ARENA) -> FloatArray:
+    """Corners of a closed sweep of the arena, flown round and round. -> (2 NUM_LANES, 2) au.
 
     Lanes lie 1/n apart and half of that inside the border. All but the first and the last stop
     short of one side, where the way back runs: a closed sweep returns to every place after the
@@ -34,14 +33,12 @@ def sweep_track(arena: Arena = ARENA, num_lanes: int = NUM_LANES) -> FloatArray:
     1/10). Two to ten lanes, other distances from the border, and sweeps that fly back to their
     start, retrace their lanes or cross the last ones at right angles gave 0.795 to 0.86.
     """
-    if num_lanes < 2 or num_lanes % 2:
-        raise OptionError(f"{num_lanes} lanes do not close; give an even number, 2 or more")
-    spacing = 1.0 / num_lanes
+    spacing = 1.0 / NUM_LANES
     near, far = spacing / 2.0, 1.0 - spacing / 2.0
     corners: list[tuple[float, float]] = []
-    for lane in range(num_lanes):
+    for lane in range(NUM_LANES):
         y = spacing * (lane + 0.5)
-        inner = near if lane in (0, num_lanes - 1) else near + spacing
+        inner = near if lane in (0, NUM_LANES - 1) else near + spacing
         ends = ((inner, y), (far, y))
         corners += ends if lane % 2 == 0 else ends[::-1]
     low_au, _ = arena.bounds

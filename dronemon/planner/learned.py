@@ -20,6 +20,7 @@ from dronemon.policy import (
     Tracks,
     belief_features,
     find_checkpoint,
+    frame_points,
     load_checkpoint,
 )
 from dronemon.roadmap import Roadmap, laplacian_encoding
@@ -31,34 +32,26 @@ class LearnedPlanner:
 
     name = "stamp"
 
-    def __init__(
-        self,
-        checkpoint: Checkpoint,
-        *,
-        history: int = DEFAULT_HISTORY,
-        prediction_au: float = 2.0,
-    ) -> None:
+    def __init__(self, checkpoint: Checkpoint, *, history: int = DEFAULT_HISTORY) -> None:
         self._network = checkpoint.network
         self._history = history
-        self._prediction_au = prediction_au
 
     @classmethod
-    def load(cls, checkpoint: str | None = None, *, prediction_au: float = 2.0) -> LearnedPlanner:
+    def load(cls, checkpoint: str | None = None) -> LearnedPlanner:
         """The planner of a checkpoint's path or name; of the shipped one for None.
 
         Raises CheckpointMismatch.
         """
-        loaded = load_checkpoint(find_checkpoint(checkpoint))
-        return cls(loaded, prediction_au=prediction_au)
+        return cls(load_checkpoint(find_checkpoint(checkpoint)))
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the last mission's history and encode the new roadmap."""
         num_eigenvectors = self._network.config.num_eigenvectors
         self._graphs = Graphs.of(
-            torch.as_tensor(roadmap.nodes_au),
-            torch.as_tensor(laplacian_encoding(roadmap, num_eigenvectors)),
-            torch.as_tensor(roadmap.neighbours),
-            torch.as_tensor(roadmap.distance_au),
+            roadmap.nodes_au,
+            laplacian_encoding(roadmap, num_eigenvectors),
+            roadmap.neighbours,
+            roadmap.distance_au,
         )
         self._memory = History(self._network, self._graphs, self._history)
         self._tracks = Tracks(1, briefing.num_targets)
@@ -112,19 +105,14 @@ class LearnedPlanner:
 
     def _believe(self, snapshot: Snapshot) -> tuple[torch.Tensor, torch.Tensor]:
         """The belief at every node. -> frame (1, V, N, 4), target mask (1, N); N >= 1."""
-        nodes_au = snapshot.roadmap.nodes_au
-        num_nodes = len(nodes_au)
-        times_au = np.repeat([snapshot.time_au, snapshot.time_au + self._prediction_au], num_nodes)
-        query_au = np.concatenate([np.tile(nodes_au, (2, 1)), times_au[:, None]], axis=1)
-        mean, std = (torch.as_tensor(v) for v in snapshot.belief.posterior(query_au))
+        nodes_au = torch.as_tensor(snapshot.roadmap.nodes_au)[None]
+        query_au = frame_points(nodes_au, nodes_au.new_tensor([snapshot.time_au]))[0]
+        mean, std = (torch.as_tensor(v) for v in snapshot.belief.posterior(query_au.numpy()))
+        target_mask = torch.ones(1, max(1, len(mean)), dtype=torch.bool)
         if not len(mean):  # nothing is known of any target yet: one of which nothing is known
-            mean, std = torch.zeros(1, 2 * num_nodes), torch.ones(1, 2 * num_nodes)
-            target_mask = torch.zeros(1, 1, dtype=torch.bool)
-        else:
-            target_mask = torch.ones(1, len(mean), dtype=torch.bool)
-        now, later = slice(None, num_nodes), slice(num_nodes, None)
-        frame = belief_features(mean[:, now], std[:, now], mean[:, later], std[:, later])
-        return frame[None], target_mask
+            mean, std = torch.zeros(1, len(query_au)), torch.ones(1, len(query_au))
+            target_mask[:] = False
+        return belief_features(mean, std)[None], target_mask
 
 
 def _nearest_node(snapshot: Snapshot) -> int:

@@ -9,8 +9,9 @@ import re
 import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
-from operator import attrgetter
 from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
 
 from dronemon.errors import OptionError
 from dronemon.planner.lawnmower import Lawnmower
@@ -23,24 +24,18 @@ CLASS_PATTERN = r"^([A-Za-z_][\w.]*):([A-Za-z_]\w*)$"
 """What names a planner's class: package.module:Class."""
 
 
-def _later(module: str, maker: str) -> Callable[..., Planner]:
-    """Makes a planner of a module beside this one that is slow to import: most runs need one."""
-
-    def make(*arguments: str | None) -> Planner:
-        imported = importlib.import_module(f"dronemon.planner.{module}")
-        planner: Planner = attrgetter(maker)(imported)(*arguments)
-        return planner
-
-    return make
+def _load(path: str) -> Any:
+    """What a module beside this one holds that is slow to import: most runs need one."""
+    return resolve_name(f"dronemon.planner.{path}")
 
 
 _SHIPPED: dict[str, Callable[..., Planner]] = {
     "clairvoyant": ClairvoyantTspLoop,
-    "clairvoyant-search": _later("search", "ClairvoyantSearchPlanner"),
+    "clairvoyant-search": lambda: _load("search:ClairvoyantSearchPlanner")(),
     "lawnmower": Lawnmower,
-    "search": _later("search", "SearchPlanner"),
-    "search-roadmap": _later("search", "RoadmapSearchPlanner"),
-    "stamp": _later("learned", "LearnedPlanner.load"),
+    "search": lambda: _load("search:SearchPlanner")(),
+    "search-roadmap": lambda: _load("search:RoadmapSearchPlanner")(),
+    "stamp": lambda weights: _load("learned:LearnedPlanner.load")(weights),
     "tsp": lambda: TspLoop("tsp", last_seen),
     "tsp-heading": lambda: TspLoop("tsp-heading", carried_on),
     "tsp-predicted": lambda: TspLoop("tsp-predicted", predicted),
@@ -56,25 +51,21 @@ _ABOUT = {
     "tsp-heading": "tsp, with targets carried on along their headings",
     "tsp-predicted": "tsp over the peaks of the belief a little later",
 }
-_LEARNED = {"stamp"}
-"""Made from a checkpoint's path or name, the shipped one for None."""
-_BOUNDS = {"clairvoyant", "clairvoyant-search"}
-"""Bounds for `dronemon evaluate`, which must be told the future."""
 
 
 def planner_names() -> tuple[str, ...]:
     """Names of the planners that come with the package, sorted."""
-    return tuple(sorted(_SHIPPED))
+    return tuple(_SHIPPED)
 
 
 def has_weights(kind: str) -> bool:
-    """Whether planners of this name are made from a checkpoint."""
-    return kind in _LEARNED
+    """Whether planners of this name are made from a checkpoint, the shipped one for None."""
+    return kind == "stamp"
 
 
 def is_bound(kind: str) -> bool:
     """Whether planners of this name must be told the future, and so cannot fly."""
-    return kind in _BOUNDS
+    return kind in {"clairvoyant", "clairvoyant-search"}
 
 
 def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:

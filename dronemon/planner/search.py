@@ -23,7 +23,8 @@ from dronemon.planner.settings import SearchSettings
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_AU
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
-from dronemon.types import FloatArray, IntArray, Measurement
+from dronemon.types import FloatArray, IntArray
+from dronemon.world import measure
 
 _NEXT_AU = 0.03
 """A measurement nearer than this is left to come as it may: no waypoint is as near as that."""
@@ -261,12 +262,7 @@ def _compile() -> None:
         roadmap,
     )
     for time_au in (0.1, 0.2):  # misses where the target must be: all particles are replaced
-        nowhere_au = np.full((1, 2), np.nan)
-        sightings.add(
-            Measurement(
-                time_au=time_au, agent_au=here_au, seen=np.array([False]), target_au=nowhere_au
-            )
-        )
+        sightings.add(measure(time_au, here_au, here_au[None] + 1.0))
     planner.next_waypoint(
         Snapshot(
             time_au=0.2,

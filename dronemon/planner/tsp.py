@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,12 +23,14 @@ from dronemon.arena import Arena
 from dronemon.planner.lawnmower import Sweep, sweep_length_au, sweep_track
 from dronemon.planner.motion import orbit, step_towards, until_measurement_au
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
-from dronemon.planner.tour import shortest_loop
 from dronemon.types import FloatArray, IntArray
+from dronemon.world.targets import short_path_order
 
 if TYPE_CHECKING:
     from dronemon.roadmap import Roadmap
 
+EXACT_POINTS = 8
+"""Most points whose shortest loop is sought among all."""
 REACHED_AU = 1e-3
 """Distance at which a target's place counts as visited."""
 INTERCEPT_ROUNDS = 4
@@ -120,6 +124,30 @@ class TspLoop:
             distance_au = float(np.linalg.norm(meeting_au - snapshot.position_au))
             arrival_au = snapshot.time_au + distance_au
         return meeting_au
+
+
+@cache
+def _all_loops(count: int) -> IntArray:
+    """Every order that begins with 0. -> ((count - 1)!, count)."""
+    return np.array([(0, *rest) for rest in permutations(range(1, count))], dtype=np.int64)
+
+
+def shortest_loop(points_au: FloatArray) -> IntArray:
+    """Order of a shortest closed tour that begins with point 0. points_au: (N, 2) -> (N,) indices.
+
+    Exact for up to eight points; for more, nearest neighbour and 2-opt on the open path from
+    point 0 back to itself.
+    """
+    count = len(points_au)
+    if count > EXACT_POINTS:
+        order = short_path_order(np.concatenate([points_au[:1], points_au]))
+        loop: IntArray = np.maximum(order[:-1] - 1, 0)
+        return loop
+    distances = np.linalg.norm(points_au[:, None] - points_au[None], axis=-1)
+    loops = _all_loops(count)
+    lengths = distances[loops, np.roll(loops, -1, axis=1)].sum(axis=1)
+    shortest: IntArray = loops[np.argmin(lengths)]
+    return shortest
 
 
 def _successor(loop: IntArray, target: int) -> int:

@@ -16,21 +16,38 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
 from dronemon.policy.tracks import mirrored_tracks
+from dronemon.types import FloatArray, IntArray
+
+PREDICTION_AU = 2.0
+"""How much later than now a frame looks at beliefs, too. Source: paper, section IV-A."""
 
 
-def belief_features(
-    mean_now: Tensor, std_now: Tensor, mean_later: Tensor, std_later: Tensor
-) -> Tensor:
-    """Features of every target at every node.
+def frame_points(nodes_au: Tensor, time_au: Tensor) -> Tensor:
+    """Where a frame looks at beliefs: at every node now, then a little later.
 
-    Each: (..., N, V) posterior -> (..., V, N, 4) float32, in that order.
+    nodes_au: (B, V, 2)
+    time_au:  (B,)
+    -> (B, 2V, 3) au x, y, t
     """
-    return torch.stack([mean_now, std_now, mean_later, std_later], dim=-1).transpose(-3, -2).float()
+    times_au = torch.stack([time_au, time_au + PREDICTION_AU], dim=1)
+    times_au = times_au.repeat_interleave(nodes_au.shape[1], dim=1)
+    return torch.cat([nodes_au.repeat(1, 2, 1), times_au[..., None]], dim=-1)
+
+
+def belief_features(mean: Tensor, std: Tensor) -> Tensor:
+    """Features of every target at every node: mean and std now, then a little later.
+
+    mean, std: (..., N, 2V) posterior at `frame_points` -> (..., V, N, 4) float32
+    """
+    (mean_now, mean_later), (std_now, std_later) = mean.chunk(2, -1), std.chunk(2, -1)
+    features = torch.stack([mean_now, std_now, mean_later, std_later], dim=-1)
+    return features.transpose(-3, -2).float()
 
 
 def num_windows(history: int, stride: int) -> int:
@@ -79,26 +96,26 @@ class Graphs:
 
     @classmethod
     def of(
-        cls, coordinates: Tensor, eigenvectors: Tensor, neighbours: Tensor, distances: Tensor
+        cls,
+        nodes_au: FloatArray,
+        eigenvectors: FloatArray,
+        neighbours: IntArray,
+        distance_au: FloatArray,
     ) -> Graphs:
         """One roadmap as a batch of one; a node among its own neighbours is masked.
 
-        coordinates:  (V, 2)
-        eigenvectors: (V, E)
-        neighbours:   (V, k)
-        distances:    (V, V)
+        eigenvectors: (V, E); the others: as in `Roadmap`
         """
-        num_nodes = coordinates.shape[0]
-        own = torch.arange(num_nodes, device=coordinates.device)
-        is_node = (neighbours >= 0) & (neighbours < num_nodes) & (neighbours != own[:, None])
+        is_other = neighbours != np.arange(len(nodes_au))[:, None]
+        # A node that cannot be reached is as far as the longest path, not infinitely far.
+        distances = torch.as_tensor(distance_au).float().clamp(max=2.0 * math.sqrt(2.0))
         return cls(
-            coordinates=coordinates.float()[None],
-            eigenvectors=eigenvectors.float()[None],
-            neighbours=torch.where(is_node, neighbours, own[:, None])[None],
-            neighbour_mask=is_node[None],
-            # A node that cannot be reached is as far as the longest path, not infinitely far.
-            distances=distances.float().clamp(max=2.0 * math.sqrt(2.0))[None],
-            node_mask=torch.ones(1, num_nodes, dtype=torch.bool, device=coordinates.device),
+            coordinates=torch.as_tensor(nodes_au).float()[None],
+            eigenvectors=torch.as_tensor(eigenvectors).float()[None],
+            neighbours=torch.as_tensor(neighbours)[None],
+            neighbour_mask=torch.as_tensor(is_other)[None],
+            distances=distances[None],
+            node_mask=torch.ones(1, len(nodes_au), dtype=torch.bool),
         )
 
     @classmethod

@@ -55,11 +55,6 @@ class Tracks:
         # Of all contacts, for the targets' speed:
         self._way_au, self._duration_au = zeros(), zeros()
 
-    def clear(self, episodes: Tensor) -> None:
-        """Forget all about some episodes. episodes: (B,) bool."""
-        for value in vars(self).values():
-            value[episodes] = 0
-
     def widen(self, num_targets: int) -> None:
         """Make room for targets that were unknown so far."""
         more = num_targets - self._place_au.shape[1]

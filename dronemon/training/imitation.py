@@ -49,7 +49,7 @@ from dronemon.training.ppo import (
     in_precision,
     mean_over,
     progress_of,
-    unended_advantages,
+    rollout_advantages,
 )
 from dronemon.workers import share_out
 
@@ -249,7 +249,7 @@ class Expert:
         targets = (gains / (config.temperature * _largest(gains))).softmax(-1)
         log_chances = verdict.logits.log_softmax(-1).masked_fill(gains.isinf(), 0.0)
         loss = -(targets * log_chances).sum(-1).mean()
-        returns = unended_advantages(rollout, config.finish, 1.0) + rollout.values[:, :-1]
+        returns = rollout_advantages(rollout, config.finish, 1.0) + rollout.values[:, :-1]
         value_loss = (verdict.value - returns[episode].to(device)).square().mean()
         torch.autograd.backward((loss + config.value_weight * value_loss) / count)
         return {

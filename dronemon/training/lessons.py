@@ -143,7 +143,7 @@ def teach(
         own = torch.where(greedy, logits.argmax(-1), sampled)
         return torch.where(taught, gains[-1].argmax(-1), own)
 
-    env = Env(max_decisions=num_decisions + 1, num_neighbours=NUM_NEIGHBOURS)
+    env = Env(num_neighbours=NUM_NEIGHBOURS)
     rollout = play(
         network, env, setups, history=history, num_decisions=num_decisions, choose=choose
     )

@@ -143,14 +143,19 @@ class Ppo:
             )
             for i in range(share)
         ]
-        length, choose = config.decisions, sampled(own)
-        env = Env(max_decisions=length, device=self._peers.device)
-        return play(self.network, env, setups, history=history, num_decisions=length, choose=choose)
+        return play(
+            self.network,
+            Env(device=self._peers.device),
+            setups,
+            history=history,
+            num_decisions=config.decisions,
+            choose=sampled(own),
+        )
 
     def learn(self, rollout: Rollout) -> dict[str, float]:
         """Several passes over the episodes, a few of them at a time."""
         config, device = self.config, self._peers.device
-        gains = unended_advantages(rollout, config, config.lam)
+        gains = rollout_advantages(rollout, config, config.lam)
         returns = gains + rollout.values[:, :-1]
         gains = (gains - gains.mean()) / (gains.std() + 1e-6)
         old = _log_chance(rollout.logits, rollout.actions)
@@ -212,11 +217,9 @@ def progress_of(
     }
 
 
-def unended_advantages(rollout: Rollout, config: PpoConfig, lam: float) -> Tensor:
-    """How much better each decision of episodes that go on turned out. -> (B, L)."""
-    rewards = scaled_rewards(rollout, config)
-    never = torch.zeros_like(rewards, dtype=torch.bool)
-    return advantages(rewards, rollout.values, never, config.discount, lam)
+def rollout_advantages(rollout: Rollout, config: PpoConfig, lam: float) -> Tensor:
+    """How much better each decision turned out. -> (B, L)."""
+    return advantages(scaled_rewards(rollout, config), rollout.values, config.discount, lam)
 
 
 def scaled_rewards(rollout: Rollout, config: PpoConfig) -> Tensor:

@@ -54,9 +54,9 @@ def play(
     num_decisions: int,
     choose: Chooser,
 ) -> Rollout:
-    """Play one episode per setup; the environment must not end one within `num_decisions`."""
-    seen, graphs = [env.reset(setups)], env.graphs
-    memory = History(network, graphs, history)
+    """Play the first decisions of one episode per setup."""
+    seen = [env.reset(setups)]
+    memory = History(network, env.graphs, history)
     verdicts = [_judge(memory, seen[0])]
     actions, steps = [], []
     for _ in range(num_decisions):
@@ -69,9 +69,9 @@ def play(
     return Rollout(
         history=history,
         segment=Segment(
-            graphs=graphs,
+            graphs=env.graphs,
             frames=frames,
-            target_mask=seen[-2].target_mask,  # knows every target that any before did
+            target_mask=seen[0].target_mask,
             flown=(lengths_au[:, :-1] / WINDOW_AU).to(frames.dtype),
             nodes=torch.stack([o.node for o in seen[:-1]], dim=1),
             tracks=torch.stack([o.tracks for o in seen[:-1]], dim=1),

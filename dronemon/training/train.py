@@ -155,7 +155,13 @@ class _Training:
         unvalidated_s = run.elapsed_s - run.validated_s
         if unvalidated_s >= 60.0 * self._plan.validation_minutes or self.progress >= 1.0:
             with self._counted():
-                metrics |= self._measure() if self._peers.is_first else {}
+                if self._peers.is_first:
+                    metrics |= validate(
+                        self._average,
+                        episodes=self._plan.validation_episodes,
+                        decisions=self._plan.validation_decisions,
+                        device=self._peers.device,
+                    )
             run.validated_s = run.elapsed_s
         return {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
 
@@ -173,12 +179,6 @@ class _Training:
         network = self._learner.average.module
         assert isinstance(network, PolicyNetwork)
         return network
-
-    def _measure(self) -> dict[str, float]:
-        plan = self._plan
-        episodes, decisions = plan.validation_episodes, plan.validation_decisions
-        device = self._peers.device
-        return validate(self._average, episodes=episodes, decisions=decisions, device=device)
 
     def record(self, metrics: dict[str, float]) -> None:
         """Write what an iteration led to; the state last, since it makes the rest count."""

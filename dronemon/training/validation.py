@@ -30,7 +30,7 @@ def validate(
     ]
     rollout = play(
         network,
-        Env(max_decisions=decisions + 1, device=device),
+        Env(device=device),
         setups,
         history=DEFAULT_HISTORY,
         num_decisions=decisions,

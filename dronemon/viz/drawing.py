@@ -5,8 +5,6 @@ What happens before the area is known appears in the log and the time series, bu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import rerun as rr
 
@@ -23,7 +21,8 @@ from dronemon.events import (
     TruthTold,
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
-from dronemon.types import CameraModel, Detection, FloatArray, Pose
+from dronemon.mission import Mission
+from dronemon.types import FloatArray, Pose
 from dronemon.viz.entities import (
     BLUE,
     DARK,
@@ -31,6 +30,7 @@ from dronemon.viz.entities import (
     SERIES,
     TIMELINE,
     WHITE,
+    Rgb,
     au_to_map,
     belief_rgb,
     dots,
@@ -52,18 +52,15 @@ _COLORMAPS = {"mean": rr.components.Colormap.Inferno, "std": rr.components.Color
 class Drawing:
     """The state of the drawing; not thread-safe."""
 
-    def __init__(
-        self, rec: rr.RecordingStream, *, targets: Mapping[str, str], camera: CameraModel
-    ) -> None:
+    def __init__(self, rec: rr.RecordingStream, mission: Mission) -> None:
         self._rec = rec
-        self._names = tuple(targets)
-        self._numbers = {appearance: i for i, appearance in enumerate(targets.values())}
-        self._camera = camera
+        self._names = tuple(target.name for target in mission.targets)
+        self._numbers: dict[str, int] = {t.appearance: i for i, t in enumerate(mission.targets)}
+        self._camera = mission.camera.model
         self._area: AreaFrame | None = None
         self._radius_m = 0.0
         self._is_grid_laid = False
         self._trail: tuple[float, FloatArray] | None = None
-        self._first_s: float | None = None
         self._seen_s: dict[int, float] = {}
         self._seen_au: dict[int, FloatArray] = {}
         self._time_s: float | None = None
@@ -135,9 +132,9 @@ class Drawing:
         picture, found = event.picture, event.detections
         self._set_time(picture.time_s)
         self._rec.log("camera", rr.Image(picture.image, color_model="BGR").compress(JPEG_QUALITY))
-        colors = [self._detection_rgb(detection) for detection in found]
-        labels = [self._detection_label(detection) for detection in found]
-        marks = dots([detection.pixel_px for detection in found], colors, 5.0, labels=labels)
+        shown = [self._name_and_rgb(detection.appearance) for detection in found]
+        labels = [f"{name} {d.score:.2f}" for (name, _), d in zip(shown, found, strict=True)]
+        marks = dots([d.pixel_px for d in found], [rgb for _, rgb in shown], 5.0, labels=labels)
         self._rec.log("camera/detections", marks)
         if self._area is not None:
             angle = np.linspace(0.0, 2.0 * np.pi, 61)
@@ -147,34 +144,24 @@ class Drawing:
             edge_px = edge_px[np.isfinite(edge_px).all(axis=-1)]
             self._rec.log("camera/footprint", lines([edge_px], WHITE, 1.0))
 
-    def _detection_rgb(self, found: Detection) -> tuple[int, int, int]:
-        number = self._numbers.get(found.appearance)
-        return GREY if number is None else target_rgb(number)
-
-    def _detection_label(self, found: Detection) -> str:
-        number = self._numbers.get(found.appearance)
-        name = found.appearance if number is None else self._names[number]
-        return f"{name} {found.score:.2f}"
+    def _name_and_rgb(self, appearance: str) -> tuple[str, Rgb]:
+        number = self._numbers.get(appearance)
+        return (appearance, GREY) if number is None else (self._names[number], target_rgb(number))
 
     def _measure(self, event: Measured) -> None:
         """Mark what was seen; extend the series of times since, battery and cross-track error."""
         time_s, measurement = event.time_s, event.measurement
         self._series(time_s, battery=event.battery, cross_track_m=event.cross_track_m)
-        if self._first_s is None:
-            self._first_s = time_s
         for number, name in enumerate(self._names):
             if measurement.seen[number]:
                 self._seen_s[number] = time_s
                 self._seen_au[number] = measurement.target_au[number]
-                self._mark_seen(number, name)
-            since_s = time_s - self._seen_s.get(number, self._first_s)
+                if self._area is not None:
+                    place = [au_to_map(self._seen_au[number], self._area)]
+                    mark = dots(place, target_rgb(number), 5.0, order=60, labels=[name])
+                    self._rec.log(path("map", "seen", name), mark)
+            since_s = time_s - self._seen_s.setdefault(number, time_s)  # or from the first look
             self._rec.log(path("plots", "since_seen", name), rr.Scalars(since_s))
-
-    def _mark_seen(self, number: int, name: str) -> None:
-        if self._area is not None:
-            place = [au_to_map(self._seen_au[number], self._area)]
-            mark = dots(place, target_rgb(number), 5.0, order=60, labels=[name])
-            self._rec.log(path("map", "seen", name), mark)
 
     def _beliefs(self, event: Believed, area: AreaFrame) -> None:
         """Show the posteriors of all targets together and one by one."""

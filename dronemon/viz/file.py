@@ -12,6 +12,7 @@ import threading
 from pathlib import Path
 
 import rerun as rr
+import rerun.blueprint as rrb
 
 from dronemon.errors import ViewError
 from dronemon.viz.page import LivePage
@@ -34,12 +35,10 @@ class RecordingFile:
         self._thread = threading.Thread(target=self._copy, name="viz-file", daemon=True)
         self._thread.start()
 
-    def sink(self) -> rr.FileSink:
-        """Give Rerun the pipe. Call `handed_over` once the sink is in use."""
-        return rr.FileSink(f"/dev/fd/{self._write_fd}")
-
-    def handed_over(self) -> None:
-        """Leave Rerun the only writer, so that the file ends when the recording does."""
+    def take(self, recording: rr.RecordingStream, layout: rrb.Blueprint) -> None:
+        """Have Rerun alone write into the pipe, so that the file ends when the recording does."""
+        sink = rr.FileSink(f"/dev/fd/{self._write_fd}")
+        recording.set_sinks(sink, default_blueprint=layout)
         os.close(self._write_fd)
 
     def wait(self, timeout_s: float) -> None:

@@ -36,7 +36,11 @@ class LivePage:
     """
 
     def __init__(self, data_port: int) -> None:
-        _check_port_is_free(data_port)
+        if not _is_free(data_port):
+            raise ViewError(
+                f"port {data_port} on {LOOPBACK} is taken, so the live view cannot be served there;"
+                " end the other viewer or flight, or set another view.port in the mission"
+            )
         page_port = _free_port(PAGE_PORT)
         source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
         self.url = f"http://{LOOPBACK}:{page_port}/?theme=dark&url={source}"
@@ -92,14 +96,6 @@ def _serve(data_port: int, page_port: int) -> subprocess.Popen[bytes]:
         bufsize=0,
         start_new_session=True,  # Ctrl-C is for the flight, which goes on until it has landed
     )
-
-
-def _check_port_is_free(port: int) -> None:
-    if not _is_free(port):
-        raise ViewError(
-            f"port {port} on {LOOPBACK} is taken, so the live view cannot be served there;"
-            " end the other viewer or flight, or set another view.port in the mission"
-        )
 
 
 def _is_free(port: int) -> bool:

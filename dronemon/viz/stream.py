@@ -8,18 +8,18 @@ queue is full the newest one is dropped and counted. One that cannot be drawn is
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import uuid
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 
 from dronemon.events import Believed, Event, Moved, Pictured, Progressed
-from dronemon.types import CameraModel
-from dronemon.viz import entities
+from dronemon.mission import Mission
 from dronemon.viz.drawing import Drawing
+from dronemon.viz.entities import blueprint
 from dronemon.viz.file import RecordingFile
 from dronemon.viz.page import LivePage
 from dronemon.viz.queue import BoundedQueue
@@ -34,35 +34,23 @@ FINISH_S = 5.0
 class FlightView:
     """Records one flight, and shows it live if asked to; `with` opens and closes it.
 
-    targets: appearance of each target by name, in the order of all arrays; side_m, heading_rad:
-    the area's, for the layout; port: of the live data; max_events, max_bytes: what may wait.
+    max_events, max_bytes: what may wait
     """
 
     def __init__(
         self,
         rrd_path: Path,
+        mission: Mission,
         *,
-        title: str,
-        targets: Mapping[str, str],
-        camera: CameraModel,
-        side_m: float,
-        heading_rad: float = 0.0,
-        live: bool = False,
-        port: int = 9876,
         max_events: int = 400,
         max_bytes: int = 64_000_000,
     ) -> None:
         self._rrd_path = rrd_path
-        self._file: RecordingFile | None = None
-        self._title = title
-        self._targets, self._camera = targets, camera
-        self._blueprint = entities.blueprint(list(targets), side_m, heading_rad)
-        self._port = port if live else None
+        self._mission = mission
         self._queue = BoundedQueue[Event](max_items=max_events, max_bytes=max_bytes)
         self._num_failed = 0
         self._failure: str | None = None
         self._page: LivePage | None = None
-        self._worker: threading.Thread | None = None
         self._pose_due_s = -np.inf
 
     @property
@@ -78,29 +66,28 @@ class FlightView:
     @property
     def error(self) -> str | None:
         """What went wrong, if anything did: recording or page then lack something."""
-        file, page = self._file, self._page
-        return (file and file.error) or self._failure or (page and page.error) or None
+        return self._file.error or self._failure or (self._page.error if self._page else None)
 
     def __enter__(self) -> FlightView:
         """Open the file and, live, the page. Raises ViewError if one of them cannot be."""
+        mission, is_live = self._mission, self._mission.view.live
         recording = rr.RecordingStream(
             "dronemon",
             recording_id=str(uuid.uuid4()),
-            batcher_config=rr.ChunkBatcherConfig(
-                flush_tick=FLUSH_S if self._port is None else LIVE_FLUSH_S
-            ),
+            batcher_config=rr.ChunkBatcherConfig(flush_tick=LIVE_FLUSH_S if is_live else FLUSH_S),
         )
         recording.set_log_time_enabled(False)
         with contextlib.ExitStack() as undo:
-            if self._port is not None:
-                self._page = LivePage(self._port)
+            if is_live:
+                self._page = LivePage(mission.view.port)
                 undo.callback(self._page.close)
             self._file = RecordingFile(self._rrd_path, self._page)
             undo.pop_all()
-        recording.set_sinks(self._file.sink(), default_blueprint=self._blueprint)
-        self._file.handed_over()
-        recording.send_recording_name(self._title)
-        self._drawing = Drawing(recording, targets=self._targets, camera=self._camera)
+        names = [target.name for target in mission.targets]
+        layout = blueprint(names, mission.area.side_m, math.radians(mission.area.heading_deg))
+        self._file.take(recording, layout)
+        recording.send_recording_name(mission.name)
+        self._drawing = Drawing(recording, mission)
         self._worker = threading.Thread(
             target=self._work, args=(recording,), name="viz", daemon=True
         )
@@ -113,10 +100,8 @@ class FlightView:
     def close(self, timeout_s: float = 10.0) -> None:
         """Finish the recording and end the page; what is not written by then is dropped."""
         self._queue.close(timeout_s)
-        if self._worker is not None:
-            self._worker.join(timeout_s + FINISH_S)
-        if self._file is not None:
-            self._file.wait(FINISH_S)
+        self._worker.join(timeout_s + FINISH_S)
+        self._file.wait(FINISH_S)
         if self._page is not None:
             self._page.close()
 

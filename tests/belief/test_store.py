@@ -12,26 +12,26 @@ WINDOW_AU = 1.993 * 3.0
 QUERY = np.column_stack([np.random.default_rng(0).random((50, 2)), np.full(50, 7.0)])
 
 
-def measurements(count, num_targets, seed=0, spacing_au=0.1):
+def measurements(count, num_targets, seed=0):
     rng = np.random.default_rng(seed)
     for k in range(1, count + 1):
         seen = rng.random(num_targets) < 0.2
         yield Measurement(
-            time_au=spacing_au * k,
+            time_au=0.1 * k,
             agent_au=rng.random(2),
             seen=seen,
             target_au=np.where(seen[:, None], rng.random((num_targets, 2)), np.nan),
         )
 
 
-def add(store, time_au, active=None):
-    batch = store._rows.shape[0]
+def add(store, time_au, active=(True,)):
+    batch, num_targets = store.window()[1].shape[:2]
     store.add(
         torch.full((batch,), time_au, dtype=torch.float64),
         torch.zeros(batch, 2, dtype=torch.float64),
-        torch.zeros(batch, store.num_targets, dtype=torch.bool),
-        torch.full((batch, store.num_targets, 2), torch.nan, dtype=torch.float64),
-        active,
+        torch.zeros(batch, num_targets, dtype=torch.bool),
+        torch.full((batch, num_targets, 2), torch.nan, dtype=torch.float64),
+        torch.tensor(active).expand(batch),
     )
 
 
@@ -41,32 +41,21 @@ def times(store, episode=0):
 
 
 def test_window_keeps_what_is_younger_than_its_edge():
-    store = ObservationStore(1, 1, window_au=WINDOW_AU)
+    store = ObservationStore(1, 1)
     for time_au in (1.0, 1.0 + 1e-9, 2.0, 1.0 + WINDOW_AU):
         add(store, time_au)
     assert times(store) == [1.0 + 1e-9, 2.0, 1.0 + WINDOW_AU]
 
 
-def test_regular_measuring_fills_the_window_and_never_grows_the_store():
-    store = ObservationStore(1, 2, window_au=WINDOW_AU)
+def test_regular_measuring_fills_the_window():
+    store = ObservationStore(1, 2)
     for k in range(1, 500):
         add(store, 0.1 * k)
-    assert store.capacity == 60
     np.testing.assert_allclose(times(store), 0.1 * np.arange(440, 500))
 
 
-def test_irregular_measuring_loses_nothing():
-    store = ObservationStore(2, 1, window_au=WINDOW_AU)
-    rng = np.random.default_rng(0)
-    given = np.cumsum(rng.uniform(0.0, 0.12, size=600)).tolist()
-    for time_au in given:
-        add(store, time_au)
-    assert store.capacity == 120
-    assert times(store) == [t for t in given if given[-1] - t < WINDOW_AU]
-
-
 def test_prior_counts_until_it_is_too_old():
-    store = ObservationStore(1, 2, window_au=WINDOW_AU)
+    store = ObservationStore(1, 2)
     known = torch.tensor([[True, False]])
     store.add_prior(known, torch.full((1, 2, 2), 0.5, dtype=torch.float64))
     assert times(store) == [0.0]
@@ -77,12 +66,11 @@ def test_prior_counts_until_it_is_too_old():
     assert times(store) == [5.9, 6.0]
 
 
-def test_inactive_and_cleared_episodes():
-    store = ObservationStore(3, 1, window_au=WINDOW_AU)
+def test_inactive_episodes_are_left_alone():
+    store = ObservationStore(2, 1)
     add(store, 0.1)
-    add(store, 0.2, active=torch.tensor([True, False, True]))
-    store.clear(torch.tensor([False, False, True]))
-    assert [times(store, k) for k in range(3)] == [[0.1, 0.2], [0.1], []]
+    add(store, 0.2, active=[True, False])
+    assert [times(store, k) for k in range(2)] == [[0.1, 0.2], [0.1]]
 
 
 def test_unseen_target_gives_absence_at_the_agent():
@@ -117,22 +105,22 @@ def sorted_window(points, values, mask):
     return [row[np.argsort(row[:, 2], kind="stable")] for row in rows]
 
 
-@pytest.mark.parametrize("spacing_au", [0.1, 0.03])
-def test_window_of_the_batch_is_that_of_the_log(spacing_au):
+def test_window_of_the_batch_is_that_of_the_log():
     num_targets, batch = 3, 4
     rng = np.random.default_rng(5)
-    store = ObservationStore(batch, num_targets, window_au=WINDOW_AU)
+    store = ObservationStore(batch, num_targets)
     is_known = torch.as_tensor(rng.random((batch, num_targets)) < 0.5)
     prior_au = rng.random((batch, num_targets, 2))
     store.add_prior(is_known, torch.as_tensor(prior_au))
     logs = [Sightings(np.where(is_known[b, :, None], prior_au[b], np.nan)) for b in range(batch)]
-    told = [list(measurements(90, num_targets, b, spacing_au)) for b in range(batch)]
+    told = [list(measurements(90, num_targets, b)) for b in range(batch)]
     for together in zip(*told, strict=True):
         store.add(
             torch.tensor([m.time_au for m in together], dtype=torch.float64),
             torch.as_tensor(np.stack([m.agent_au for m in together])),
             torch.as_tensor(np.stack([m.seen for m in together])),
             torch.as_tensor(np.stack([m.target_au for m in together])),
+            torch.ones(batch, dtype=torch.bool),
         )
         for log, measurement in zip(logs, together, strict=True):
             log.add(measurement)

@@ -52,10 +52,8 @@ def picture() -> ImageArray:
         Animal(name=name, appearance=name, position_ned_m=at_m, heading_rad=0.4, walked_m=1.0)
         for name, at_m in {"cow": (4.0, -6.0), "tiger": (-5.0, 5.0), "fox": (0.0, 0.0)}.items()
     )
-    scene = Scene(
-        time_s=1.0, pose=pose(), ground_down_m=GROUND_DOWN_M, frame=frame, animals=animals
-    )
-    return Renderer(CAMERA, 10_400).render(scene)
+    scene = Scene(pose=pose(), frame=frame, animals=animals)
+    return Renderer(CAMERA, 10_300).render(scene)
 
 
 def look(detector: Detector, image: ImageArray, at: Pose) -> tuple[Detection, ...]:

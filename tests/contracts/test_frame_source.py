@@ -65,7 +65,7 @@ async def simulated(clock):
             velocity_ned_m_s=(0.0, 0.0, 0.0),
             attitude_rad=(0.0, 0.0, 0.0),
         )
-        return Scene(time_s=pose.time_s, pose=pose, ground_down_m=0.0, frame=frame, animals=())
+        return Scene(pose=pose, frame=frame, animals=())
 
     async with CameraServer(camera, 10_300, scene, lambda _: None) as server:
         url = f"tcp://127.0.0.1:{server.port}"

@@ -13,7 +13,7 @@ import torch
 
 from dronemon.arena import ARENA
 from dronemon.errors import OptionError
-from dronemon.evaluation import Conditions, fly_episode
+from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import (
     Briefing,
     Clairvoyant,

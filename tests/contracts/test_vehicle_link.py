@@ -41,9 +41,9 @@ def with_link(request):
 
 
 in_memory_first = pytest.mark.parametrize(
-    "with_link", ["fake", pytest.param("mavsdk", marks=pytest.mark.flights)], indirect=True
+    "with_link", ["fake", pytest.param("mavsdk", marks=pytest.mark.slow)], indirect=True
 )
-"""For what need not fly in the simulator at every change: `make test-flights` does."""
+"""For what need not fly in the simulator at every change: `make test-slow` does."""
 
 
 def _here(link: VehicleLink, speed_m_s: float = 0.0) -> Setpoint:
@@ -86,6 +86,7 @@ def test_a_flight_is_confirmed_step_by_step(with_link):
     with_link(story)
 
 
+@in_memory_first
 def test_poses_come_in_order_and_enclose_an_instant(with_link):
     async def story(link: VehicleLink) -> None:
         times = [(await link.next_pose()).time_s for _ in range(50)]
@@ -110,6 +111,7 @@ def test_waiting_has_a_limit_in_vehicle_time(with_link):
     with_link(story)
 
 
+@in_memory_first
 def test_the_pilot_wins(with_link):
     async def story(link: VehicleLink) -> None:
         await link.arm()
@@ -124,6 +126,7 @@ def test_the_pilot_wins(with_link):
     with_link(story, "pilot@20")
 
 
+@in_memory_first
 def test_silence_is_noticed(with_link):
     async def story(link: VehicleLink) -> None:
         await link.arm()

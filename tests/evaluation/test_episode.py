@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dronemon.errors import PlannerError
-from dronemon.evaluation import Conditions, fly_episode
+from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import Briefing, Snapshot, Waypoint, create_planner
 from dronemon.roadmap import Roadmap
 from dronemon.types import FloatArray
@@ -52,7 +52,7 @@ def test_agent_measures_every_tenth_also_round_corners_and_targets_move_meanwhil
     )
     np.testing.assert_allclose(episode.targets_au[:, 0, 0], 0.4 + 0.01 * np.arange(6))
     assert episode.observed[:, 0].tolist() == [False, False, False, True, False, False]
-    np.testing.assert_allclose(episode.times_au, 0.1 * np.arange(6))
+    np.testing.assert_allclose(episode.conditions.times_au, 0.1 * np.arange(6))
 
 
 def test_planner_is_told_everything_once_with_the_time_of_its_arrival() -> None:

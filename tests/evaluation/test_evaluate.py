@@ -18,9 +18,10 @@ from typer.testing import CliRunner
 
 from dronemon.belief import episode_metrics
 from dronemon.errors import OptionError, RecordError
-from dronemon.evaluation import Options, PlannerSpec, Result, evaluate
 from dronemon.evaluation.command import evaluate_command
-from dronemon.evaluation.results import load_results
+from dronemon.evaluation.evaluate import evaluate
+from dronemon.evaluation.options import Options, PlannerSpec
+from dronemon.evaluation.results import Result, load_results
 from dronemon.version import code_version
 
 QUIET = Console(quiet=True)
@@ -28,6 +29,15 @@ PROGRAM = (
     "import typer; from dronemon.evaluation.command import evaluate_command; "
     "app = typer.Typer(); app.command()(evaluate_command); app()"
 )
+
+
+@pytest.fixture(name="without_figures")
+def _without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["dronemon.evaluation.evaluate"], "_draw", lambda *_: None)
+
+
+without_figures = pytest.mark.usefixtures("without_figures")
+"""For what is not about figures, which take longer to draw than short episodes to fly."""
 
 
 def options(out: Path, **changes: Any) -> Options:
@@ -49,10 +59,17 @@ def outcome(results: list[Result]) -> list[tuple[object, ...]]:
     return [(*result.key, result.scores, result.unc_over_time) for result in results]
 
 
-def test_results_do_not_depend_on_processes_or_what_else_is_flown(tmp_path: Path) -> None:
+@without_figures
+@pytest.mark.slow
+def test_results_do_not_depend_on_processes(tmp_path: Path) -> None:
     alone = evaluate(options(tmp_path / "alone"), QUIET)
     together = evaluate(options(tmp_path / "together", workers=2), QUIET)
     assert outcome(alone) == outcome(together)
+
+
+@without_figures
+def test_results_do_not_depend_on_what_else_is_flown(tmp_path: Path) -> None:
+    alone = evaluate(options(tmp_path / "alone"), QUIET)
     later = evaluate(
         options(tmp_path / "later", first_seed=10_001, instances=1, targets=(3, 2)), QUIET
     )
@@ -84,6 +101,7 @@ def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Pa
         assert result.scores.unc == pytest.approx(arrays["unc"][1:].mean())
 
 
+@without_figures
 def test_finished_episodes_are_not_flown_again(tmp_path: Path) -> None:
     first = evaluate(options(tmp_path), QUIET)
     lines = (tmp_path / "results.jsonl").read_text().splitlines()
@@ -93,6 +111,7 @@ def test_finished_episodes_are_not_flown_again(tmp_path: Path) -> None:
     assert len(more) == 6
 
 
+@without_figures
 def test_line_that_was_cut_off_is_flown_again(tmp_path: Path) -> None:
     first = evaluate(options(tmp_path), QUIET)
     path = tmp_path / "results.jsonl"
@@ -101,6 +120,7 @@ def test_line_that_was_cut_off_is_flown_again(tmp_path: Path) -> None:
     assert len(load_results(path)) == 4
 
 
+@without_figures
 def test_other_settings_are_other_episodes(tmp_path: Path) -> None:
     evaluate(options(tmp_path), QUIET)
     longer = evaluate(options(tmp_path, horizon_au=2.5), QUIET)
@@ -108,6 +128,7 @@ def test_other_settings_are_other_episodes(tmp_path: Path) -> None:
     assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 8
 
 
+@without_figures
 def test_episodes_of_other_code_are_kept_and_named(tmp_path: Path) -> None:
     first = evaluate(options(tmp_path), QUIET)
     assert {result.code for result in first} == {code_version()}
@@ -127,6 +148,7 @@ def test_episodes_of_other_code_are_kept_and_named(tmp_path: Path) -> None:
     assert f"\ndronemon {versions}; one" in (tmp_path / "table.md").read_text()
 
 
+@without_figures
 def test_episodes_of_the_same_code_give_no_warning(tmp_path: Path) -> None:
     evaluate(options(tmp_path), QUIET)
     console = Console(file=io.StringIO())
@@ -141,6 +163,7 @@ def test_damaged_line_is_named(tmp_path: Path) -> None:
         evaluate(options(tmp_path), QUIET)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "exit_code"), [(signal.SIGTERM, 130), (signal.SIGKILL, -signal.SIGKILL)]
 )
@@ -208,6 +231,7 @@ def test_bad_input_is_refused_with_the_reason(
     assert not (tmp_path / "out").exists()
 
 
+@without_figures
 def test_command_writes_where_it_was_told(tmp_path: Path) -> None:
     app = typer.Typer()
     app.command()(evaluate_command)

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from dronemon.belief import Scores
-from dronemon.evaluation import Cell, Result
+from dronemon.evaluation.options import Cell
 from dronemon.evaluation.report import write_tables
+from dronemon.evaluation.results import Result
 from dronemon.evaluation.tables import (
     TABLE1_CELLS,
     Estimate,

@@ -10,7 +10,13 @@ SAME_AU = 1e-9
 """The last digits of numpy and the C library differ between processors; a decision would by far."""
 
 
-@pytest.mark.parametrize("episode", tuple(episodes()), ids=lambda episode: episode[0])
+CASES = [
+    pytest.param(episode, id=episode[0], marks=[pytest.mark.slow] * (episode[2] != 10000))
+    for episode in episodes()
+]
+
+
+@pytest.mark.parametrize("episode", CASES)
 def test_decisions_are_those_on_file(episode):
     name, *terms = episode
     flown, on_file = np.array(waypoints(*terms)), np.array(load()[name])

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dronemon.errors import OptionError
-from dronemon.planner.lawnmower import Sweep, sweep_length_au, sweep_track
+from dronemon.planner.lawnmower import NUM_LANES, Sweep, sweep_length_au, sweep_track
 from dronemon.types import FloatArray
 
 
@@ -17,27 +16,19 @@ def along(track_au: FloatArray, spacing_au: float = 0.005) -> FloatArray:
     return np.concatenate(points)
 
 
-@pytest.mark.parametrize("num_lanes", [2, 4, 6, 10])
-def test_sweep_is_a_closed_loop_of_axis_parallel_lanes_that_comes_near_every_place(
-    num_lanes: int,
-) -> None:
-    track_au = sweep_track(num_lanes=num_lanes)
+def test_sweep_is_a_closed_loop_of_axis_parallel_lanes_that_comes_near_every_place() -> None:
+    track_au = sweep_track()
     steps = np.roll(track_au, -1, axis=0) - track_au
     assert np.all(np.isclose(steps, 0.0).sum(axis=1) == 1)
-    axis = np.linspace(0.5 / num_lanes, 1.0 - 0.5 / num_lanes, 40)
+    axis = np.linspace(0.5 / NUM_LANES, 1.0 - 0.5 / NUM_LANES, 40)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 1, 2)
     nearest = np.linalg.norm(places - along(track_au), axis=-1).min(axis=1)
-    assert nearest.max() <= 0.6 / num_lanes
+    assert nearest.max() <= 0.6 / NUM_LANES
     assert sweep_length_au(track_au) == pytest.approx(np.abs(steps).sum())
 
 
-def test_odd_numbers_of_lanes_are_refused() -> None:
-    with pytest.raises(OptionError, match="5 lanes do not close"):
-        sweep_track(num_lanes=5)
-
-
 def test_sweep_goes_round_from_its_nearest_corner() -> None:
-    track_au = sweep_track(num_lanes=4)
+    track_au = sweep_track()
     sweep = Sweep(track_au=track_au)
     here_au = track_au[3] + [0.01, 0.01]
     visited = []
@@ -48,6 +39,6 @@ def test_sweep_goes_round_from_its_nearest_corner() -> None:
 
 
 def test_sweep_keeps_its_corner_until_it_is_reached() -> None:
-    sweep = Sweep(track_au=sweep_track(num_lanes=4))
+    sweep = Sweep(track_au=sweep_track())
     first = sweep.next_corner(np.array([0.1, 0.1]))
     np.testing.assert_array_equal(sweep.next_corner(np.array([0.9, 0.9])), first)

@@ -97,12 +97,12 @@ def test_same_seed_flies_the_same_path():
 
 
 def test_finds_targets_whose_places_are_unknown():
-    _, seen = fly(SearchPlanner(), prior="number", length_au=15.0)
+    _, seen = fly(SearchPlanner(QUICK), prior="number", length_au=15.0)
     assert seen.any(axis=0).all()
 
 
 def test_finds_targets_of_which_nothing_is_known():
-    _, seen = fly(SearchPlanner(), prior="none", length_au=15.0)
+    _, seen = fly(SearchPlanner(QUICK), prior="none", length_au=15.0)
     assert seen.any(axis=0).all()
 
 
@@ -112,7 +112,7 @@ def test_noisy_sightings_are_followed():
 
 
 def test_clairvoyant_sees_targets_more_often():
-    fast = {"speed": 1 / 7, "num_targets": 4, "length_au": 10.0}
+    fast = {"speed": 1 / 7, "num_targets": 4, "length_au": 6.0}
     _, blind = fly(SearchPlanner(QUICK), **fast)
     _, told = fly(ClairvoyantSearchPlanner(QUICK), **fast)
     assert told.sum() > blind.sum()

@@ -11,8 +11,14 @@ from hypothesis import strategies as st
 from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.planner import Briefing, Snapshot, create_planner
-from dronemon.planner.tour import shortest_loop
-from dronemon.planner.tsp import TspLoop, Whereabouts, carried_on, last_seen, predicted
+from dronemon.planner.tsp import (
+    TspLoop,
+    Whereabouts,
+    carried_on,
+    last_seen,
+    predicted,
+    shortest_loop,
+)
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement

@@ -7,7 +7,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from dronemon.policy import NUM_TRACK_FEATURES, Graphs, Segment
+from dronemon.policy import Graphs, Segment
+from dronemon.policy.tracks import NUM_TRACK_FEATURES
 from dronemon.problem import WINDOW_AU
 
 
@@ -16,10 +17,10 @@ def random_graphs(num_nodes: int, num_neighbours: int, rng: torch.Generator) -> 
     coordinates = torch.rand(num_nodes, 2, generator=rng)
     straight = torch.cdist(coordinates, coordinates)
     return Graphs.of(
-        coordinates=coordinates,
-        eigenvectors=torch.randn(num_nodes, 32, generator=rng) / num_nodes**0.5,
-        neighbours=straight.topk(num_neighbours, largest=False).indices,
-        distances=straight * 1.2,
+        nodes_au=coordinates.numpy(),
+        eigenvectors=torch.randn(num_nodes, 32, generator=rng).numpy() / num_nodes**0.5,
+        neighbours=straight.topk(num_neighbours, largest=False).indices.numpy(),
+        distance_au=straight.numpy() * 1.2,
     )
 
 

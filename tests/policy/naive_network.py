@@ -13,7 +13,9 @@ import math
 import torch
 from torch import Tensor, nn
 
-from dronemon.policy import Graphs, PolicyNetwork, Projections, TemporalEncoder
+from dronemon.policy import Graphs, PolicyNetwork
+from dronemon.policy.encoders import TemporalEncoder
+from dronemon.policy.layers import Projections
 from dronemon.problem import WINDOW_AU
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -106,15 +106,35 @@ CASES = [("paper", history) for history in (1, 4, 5, 8, 10, 100)] + [
 ]
 
 
-@pytest.mark.parametrize(("variant", "history"), CASES)
-def test_outputs_and_gradients_of_a_segment_equal_the_reference(variant: str, history: int) -> None:
-    sizes = [(12, 2), (17, 3)]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reference:
+    """What the reference says of every decision of some episodes."""
+
+    network: PolicyNetwork
+    history: int
+    episodes: Episodes
+    logits: Tensor
+    values: Tensor
+
+
+@pytest.fixture(params=CASES, ids=lambda case: f"{case[0]}-{case[1]}", scope="module")
+def reference(request: pytest.FixtureRequest) -> Reference:
+    variant, history = request.param
+    sizes = [(8, 2), (11, 3)]
     network = make_network(VARIANTS[variant])
     episodes = make_episodes(sizes, length=16, seed=history)
-    graphs, frames, mask, lengths_au, nodes, tracks = episodes
+    logits, values = naive_all(network, episodes, sizes, history)
+    return Reference(
+        network=network, history=history, episodes=episodes, logits=logits, values=values
+    )
+
+
+def test_outputs_and_gradients_of_a_segment_equal_the_reference(reference: Reference) -> None:
+    network, history = reference.network, reference.history
+    logits, values = reference.logits, reference.values
+    graphs, frames, mask, lengths_au, nodes, tracks = reference.episodes
     segment = whole_episodes(graphs, frames, mask, lengths_au, nodes, tracks)
     verdict = network(segment, history)
-    logits, values = naive_all(network, episodes, sizes, history)
     torch.testing.assert_close(verdict.logits, logits, rtol=0.0, atol=1e-9)
     torch.testing.assert_close(verdict.value, values, rtol=0.0, atol=1e-9)
     ours = torch.autograd.grad(
@@ -128,14 +148,10 @@ def test_outputs_and_gradients_of_a_segment_equal_the_reference(variant: str, hi
         )
 
 
-@pytest.mark.parametrize(("variant", "history"), CASES)
-def test_one_decision_after_another_equals_the_reference(variant: str, history: int) -> None:
-    sizes = [(12, 2), (17, 3)]
-    network = make_network(VARIANTS[variant])
-    episodes = make_episodes(sizes, length=21, seed=3)
-    graphs, frames, mask, lengths_au, nodes, tracks = episodes
-    memory = History(network, graphs, history)
-    logits, values = naive_all(network, episodes, sizes, history)
+def test_one_decision_after_another_equals_the_reference(reference: Reference) -> None:
+    logits, values = reference.logits, reference.values
+    graphs, frames, mask, lengths_au, nodes, tracks = reference.episodes
+    memory = History(reference.network, graphs, reference.history)
     for t in range(frames.shape[1]):
         verdict = memory.decide(frames[:, t], mask, lengths_au[:, t], nodes[:, t], tracks[:, t])
         torch.testing.assert_close(verdict.logits[:, 0], logits[:, t], rtol=0.0, atol=1e-9)

@@ -8,8 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from dronemon.policy import NUM_TRACK_FEATURES, Tracks
-from dronemon.policy.tracks import mirrored_tracks
+from dronemon.policy.tracks import NUM_TRACK_FEATURES, Tracks, mirrored_tracks
 
 PLACE, EXPECTED, VELOCITY = slice(0, 2), slice(2, 4), slice(4, 6)
 IS_STRAIGHT, AGE, MISSED, SPEED, IS_PLACED = range(6, 11)
@@ -89,8 +88,6 @@ def test_targets_never_placed_and_episodes_that_did_not_measure_show_nothing() -
     shown = tracks.features(torch.ones(2).double())
     assert not shown[0].any()
     assert shown[1, 0, IS_PLACED] == 1.0
-    tracks.clear(torch.tensor([False, True]))
-    assert not tracks.features(torch.ones(2).double()).any()
 
 
 def test_targets_that_join_leave_others_alone() -> None:

@@ -26,7 +26,7 @@ from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, 
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.viz import FlightView
 
-pytestmark = pytest.mark.flights
+pytestmark = pytest.mark.slow
 MISSION = """
 name: small
 area: {side_m: 100}
@@ -73,16 +73,8 @@ class Rehearsal:
         detector = make_detector(file.mission)
         await rehearse(file.mission, detector, Lawnmower(), self.interrupts)
         vehicle = self._start(self.path, "--speed-up", "20", *options)
-        recorder = RunRecorder.create(
-            mission_text=MISSION, mission_name="small", target_names=["Bella"], out=self.out
-        )
-        view = FlightView(
-            recorder.folder.rrd_path,
-            title="small",
-            targets={"Bella": "cow"},
-            camera=file.mission.camera.model,
-            side_m=100.0,
-        )
+        recorder = RunRecorder.create(file.mission, out=self.out)
+        view = FlightView(recorder.folder.rrd_path, file.mission)
         async with asyncio.timeout(90):
             with recorder, view:
                 async with MavsdkLink(vehicle.url, link_loss_timeout_s=2.0) as link:

@@ -130,6 +130,7 @@ async def fly(url: str) -> None:
         assert math.dist(home[:2], pilot.place[:2]) < 1.5
 
 
+@pytest.mark.slow
 def test_mavsdk_flies_a_whole_mission_and_a_second_world_follows(
     mock_vehicle: StartMockVehicle,
 ) -> None:

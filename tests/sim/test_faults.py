@@ -317,7 +317,8 @@ def pictures(faults: dict[str, float], story: Callable[..., Any]) -> None:
     ticks = iter(range(10**6))
 
     def scene() -> Scene:
-        return replace(simulation.scene(), time_s=next(ticks) * 0.1)
+        now = simulation.scene()
+        return replace(now, pose=replace(now.pose, time_s=next(ticks) * 0.1))
 
     async def tell() -> None:
         async with (

@@ -55,7 +55,7 @@ def test_follower_sees_what_the_vehicle_sees() -> None:
     scenes: list[tuple[Scene, Scene]] = []
     asyncio.run(follow_a_flight(scenes))
     for true, followed in scenes:
-        assert -1e-9 <= true.time_s - followed.time_s <= 0.04
+        assert -1e-9 <= true.pose.time_s - followed.pose.time_s <= 0.04
         assert math.dist(true.pose.position_ned_m, followed.pose.position_ned_m) < 1.0
         for angle in (0, 1):
             assert abs(true.pose.attitude_rad[angle] - followed.pose.attitude_rad[angle]) < 0.02

@@ -52,12 +52,19 @@ def make_lesson(expert: Expert, seed: int, num_nodes: int) -> Lesson:
     )
 
 
+@pytest.fixture(scope="module")
+def lessons(tmp_path_factory: pytest.TempPathFactory) -> list[Lesson]:
+    expert = make_expert(tmp_path_factory.mktemp("lessons"))
+    return [make_lesson(expert, 10_000 + i, 20 + 5 * i) for i in range(2)]
+
+
 def gradients(expert: Expert) -> list[Tensor]:
     return [p.grad.clone() for p in expert.network.parameters() if p.grad is not None]
 
 
-def test_a_minibatch_is_the_mean_over_episodes_of_different_lessons(tmp_path: Path) -> None:
-    lessons = [make_lesson(make_expert(tmp_path), 10_000 + i, 20 + 5 * i) for i in range(2)]
+def test_a_minibatch_is_the_mean_over_episodes_of_different_lessons(
+    lessons: list[Lesson], tmp_path: Path
+) -> None:
     alone, losses = [], []
     for lesson in lessons:
         expert = make_expert(tmp_path)
@@ -76,8 +83,8 @@ def test_the_teacher_flies_less_from_round_to_round() -> None:
     assert shares == [1.0, 1.0, 0.5, 0.5, 0.15, 0.15]
 
 
-def test_regret_is_a_share_of_the_largest_gain(tmp_path: Path) -> None:
-    lesson = make_lesson(make_expert(tmp_path), 10_000, 20)
+def test_regret_is_a_share_of_the_largest_gain(lessons: list[Lesson]) -> None:
+    lesson = lessons[0]
     logits = torch.full_like(lesson.rollout.logits, -torch.inf)
     logits[..., 1] = 0.0
     gains = torch.tensor([200.0, 150.0, -torch.inf]).expand(1, CONFIG.decisions, 3)
@@ -100,6 +107,7 @@ def give_round(folder: Path, *, workers: int) -> Expert:
     return expert
 
 
+@pytest.mark.slow
 def test_lessons_do_not_depend_on_who_gives_them(tmp_path: Path) -> None:
     expert = give_round(tmp_path / "two", workers=2)
     give_round(tmp_path / "one", workers=1)

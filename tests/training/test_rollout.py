@@ -17,7 +17,7 @@ SETUPS = [
 def make_rollout(network: PolicyNetwork, seed: int, num_decisions: int = 20) -> Rollout:
     return play(
         network,
-        Env(max_decisions=num_decisions + 1),
+        Env(),
         SETUPS,
         history=8,
         num_decisions=num_decisions,

@@ -17,10 +17,10 @@ import torch
 
 from dronemon.errors import CheckpointMismatch
 from dronemon.policy import NetworkConfig, load_checkpoint, read_tensors
-from dronemon.training import METRICS, Plan, train
 from dronemon.training.imitation import ExpertConfig
 from dronemon.training.ppo import PpoConfig
 from dronemon.training.recipe import Recipe, load_recipe
+from dronemon.training.train import METRICS, Plan, train
 
 SMALL = NetworkConfig(
     width=16, num_heads=2, feed_forward=24, newest=True, ways=True, geometry=True, tracks=True
@@ -41,6 +41,8 @@ EXPERT = ExpertConfig(
     num_nodes=(20, 30),
     history=(8, 12),
     num_targets=(2, 3),
+    teacher_drawn=20,
+    teacher_refined=10,
     finish=replace(PAPER, objective="unc"),
 )
 RECIPES = {

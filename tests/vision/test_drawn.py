@@ -44,9 +44,7 @@ def scene_of(*animals, attitude=(0.0, 0.0, 0.0), height_m=35.0):
         heading_rad=0.3,
         cruise_speed_m_s=5.0,
     )
-    return Scene(
-        time_s=1.0, pose=pose, ground_down_m=GROUND_DOWN_M, frame=frame, animals=tuple(animals)
-    )
+    return Scene(pose=pose, frame=frame, animals=tuple(animals))
 
 
 def animal_at(appearance, north_m, east_m, heading_rad=0.0):
@@ -62,7 +60,7 @@ def animal_at(appearance, north_m, east_m, heading_rad=0.0):
 
 def detect(detector, renderer, scene):
     """-> appearance to (north, east) relative to the vehicle, of what was found"""
-    found = detector.detect(renderer.render(scene), scene.pose, scene.ground_down_m)
+    found = detector.detect(renderer.render(scene), scene.pose, GROUND_DOWN_M)
     assert len({d.appearance for d in found}) == len(found)
     pixels = np.array([d.pixel_px for d in found]).reshape(-1, 2)
     places = pixel_to_ground(pixels, CAMERA, scene.pose, GROUND_DOWN_M) - AT

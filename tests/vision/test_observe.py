@@ -112,7 +112,7 @@ def test_rendered_animals_are_observed_where_they_are(heading_rad):
         Animal(name=n, appearance=n, position_ned_m=place(*at), heading_rad=0.4, walked_m=1.0)
         for n, at in truth_au.items()
     )
-    scene = Scene(time_s=1.0, pose=pose, ground_down_m=0.0, frame=frame, animals=animals)
+    scene = Scene(pose=pose, frame=frame, animals=animals)
     image = Renderer(CAMERA, 10_300).render(scene)
     found = DrawnDetector(APPEARANCES, CAMERA, 0.5).detect(image, pose, 0.0)
     seen = observe(

@@ -8,6 +8,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable
+from functools import partialmethod
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -30,11 +31,12 @@ from dronemon.events import (
     TruthTold,
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
-from dronemon.types import CameraModel, Detection, Measurement, Picture, Pose
+from dronemon.mission import Mission
+from dronemon.mission.schema import Area, Target, View
+from dronemon.types import Detection, Measurement, Picture, Pose
 from dronemon.viz import FlightView, belief_grid_au
+from dronemon.viz.page import LivePage
 
-TARGETS = {"Bella": "cow", "Rusty & co/2": "fox"}
-CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2)
 AREA = AreaFrame(
     centre_ned_m=(30.0, -12.0),
     ground_down_m=0.5,
@@ -42,19 +44,20 @@ AREA = AreaFrame(
     heading_rad=0.4,
     cruise_speed_m_s=5.0,
 )
+MISSION = Mission(
+    name="two animals",
+    area=Area(side_m=AREA.side_m, heading_deg=math.degrees(AREA.heading_rad)),
+    targets=(Target(name="Bella", appearance="cow"), Target(name="Rusty & co/2", appearance="fox")),
+)
+CAMERA = MISSION.camera.model
 RERUN = Path(str(find_spec("rerun_cli").submodule_search_locations[0])) / "rerun"
 REPOSITORY = Path(__file__).parents[2]
 
 
-def view(path: Path, **options: object) -> FlightView:
-    given: dict[str, Any] = {
-        "title": "two animals",
-        "targets": TARGETS,
-        "camera": CAMERA,
-        "side_m": 200.0,
-        "heading_rad": AREA.heading_rad,
-    }
-    return FlightView(path, **{**given, **options})
+def view(path: Path, *, port: int | None = None, **limits: int) -> FlightView:
+    """A view of the mission, live where a port is given."""
+    view = View() if port is None else View(live=True, port=port)
+    return FlightView(path, MISSION.model_copy(update={"view": view}), **limits)
 
 
 def pose(time_s: float, position_au: tuple[float, float] = (0.5, 0.5)) -> Pose:
@@ -343,7 +346,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored under a back
 path, repository, tests, port = sys.argv[1:]
 sys.path[:0] = [repository, tests]
 from test_flight_view import fly, view
-with view(Path(path), live=port != "none", port=int(port) if port != "none" else 0) as shown:
+with view(Path(path), port=None if port == "none" else int(port)) as shown:
     fly(shown)
     print(shown.url, flush=True)
     sys.stdin.read()
@@ -417,7 +420,7 @@ def test_the_live_page_is_served_on_loopback_only_and_carries_the_recording(
     tmp_path: Path,
 ) -> None:
     before, port = listening(), free_port()
-    with view(tmp_path / "flight.rrd", live=True, port=port) as shown:
+    with view(tmp_path / "flight.rrd", port=port) as shown:
         fly(shown)
         assert shown.url is not None
         wait_until(lambda: is_served(shown.url or ""))
@@ -458,15 +461,16 @@ def test_a_taken_port_is_named_with_the_next_step(tmp_path: Path) -> None:
         other.listen()
         port = other.getsockname()[1]
         with pytest.raises(ViewError, match=rf"port {port} on 127\.0\.0\.1 is taken.*view\.port"):
-            view(tmp_path / "flight.rrd", live=True, port=port).__enter__()
+            view(tmp_path / "flight.rrd", port=port).__enter__()
     assert not (tmp_path / "flight.rrd").exists()
 
 
 def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(LivePage, "close", partialmethod(LivePage.close, 0.5))
     others = set(psutil.Process().children(recursive=True))  # of tests before this one
-    with view(tmp_path / "flight.rrd", live=True, port=free_port(), max_events=2000) as shown:
+    with view(tmp_path / "flight.rrd", port=free_port(), max_events=2000) as shown:
         wait_until(lambda: is_served(shown.url or ""))
         for process in set(psutil.Process().children(recursive=True)) - others:
             process.suspend()

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronemon.world import measure, sample_leg, sense
+from dronemon.world import measure, sample_leg
+from dronemon.world.sensing import sense
 
 
 def test_measurements_fall_every_tenth_of_a_straight_flight() -> None:
