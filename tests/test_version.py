@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dronemon import __version__
+from dronemon import __version__, compiled_folder
 from dronemon.version import code_version, find_commit
 
 
@@ -57,3 +57,26 @@ def test_no_commit_outside_a_checkout(tmp_path: Path, monkeypatch: pytest.Monkey
     assert find_commit(tmp_path) is None
     monkeypatch.setenv("PATH", "")
     assert find_commit(tmp_path) is None
+
+
+def test_compiled_code_is_kept_apart_for_each_state_of_what_goes_into_it(tmp_path: Path):
+    (tmp_path / "planner").mkdir()
+    constants = tmp_path / "problem.py"
+    constants.write_text("SENSOR_RADIUS_AU = 0.1\n")
+    before = compiled_folder(tmp_path)
+    assert before == compiled_folder(tmp_path)
+    assert before.is_dir()
+    constants.write_text("SENSOR_RADIUS_AU = 0.2\n")
+    assert compiled_folder(tmp_path) != before
+
+
+def test_compiled_code_of_a_read_only_installation_goes_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "__pycache__").write_text("not a folder\n")  # even root cannot write into it
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert compiled_folder(package).is_relative_to(tmp_path / "home")
+    monkeypatch.setenv("HOME", str(package / "__pycache__"))
+    assert compiled_folder(package).is_dir()

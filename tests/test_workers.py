@@ -60,7 +60,10 @@ def test_a_process_that_dies_is_told_with_what_to_do() -> None:
 
 @pytest.mark.parametrize(
     ("script", "exit_code", "said"),
-    [(GUARDED, 0, "[(1, 1), (2, 1), (3, 1)]"), (UNGUARDED, 1, "under `if __name")],
+    [
+        pytest.param(GUARDED, 0, "[(1, 1), (2, 1), (3, 1)]", marks=pytest.mark.slow),
+        (UNGUARDED, 1, "under `if __name"),
+    ],
 )
 def test_a_script_of_ones_own_can_share_work_behind_a_guard(
     tmp_path: Path, script: str, exit_code: int, said: str

@@ -3,9 +3,6 @@
 All goes along contiguous columns, whose number is a multiple of a vector's length. The compiler
 turns these loops into vectors, provided that they begin at 0, that their end is not a constant, and
 that single numbers are not taken out of slices. Diagonals hold reciprocals.
-
-Numba keeps the machine code of `compiled` until that file changes: after a change here,
-`__pycache__` must be emptied.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-untyped-call"

@@ -1,7 +1,4 @@
-"""The covariance function, compiled: in arithmetic that the compiler turns into vectors.
-
-As for `blocks`, `__pycache__` must be emptied after a change here.
-"""
+"""The covariance function, compiled: in arithmetic that the compiler turns into vectors."""
 
 # mypy: disable-error-code="no-untyped-def, no-untyped-call"
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from dronemon.arena import ARENA
 from dronemon.belief.gp import Posterior, fit
-from dronemon.belief.store import ObservationStore
+from dronemon.belief.kernel import Matern32
 from dronemon.problem import (
     LOST_STD,
     PRESENCE_STD_AU,
@@ -181,25 +181,26 @@ def episode_metrics(
     observed: BoolArray,
     *,
     prior: Prior = "full",
+    kernel: Matern32 | None = None,
 ) -> EpisodeMetrics:
     """Score the belief that a recorded episode led to, at every instant.
 
-    time_au:    (S+1,)      au, every 0.1; index 0 is the start, the others the measurements
+    time_au:    (S+1,)      au, increasing; index 0 is the start, the others the measurements
     agent_au:   (S+1, 2)    au
     targets_au: (S+1, N, 2) au, true positions
     observed:   (S+1, N)    bool, whether the target was seen; index 0 is ignored
     """
-    points, values, mask = _windows(time_au, agent_au, targets_au, observed, prior)
-    time, targets = torch.as_tensor(time_au), torch.as_tensor(targets_au)
+    kernel = kernel if kernel is not None else Matern32()
+    history = _History.of(time_au, agent_au, targets_au, observed, prior)
     grid = evaluation_grid()
     unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
     for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
-        block = slice(start, start + _INSTANTS_AT_ONCE)
-        posterior = fit(points[block], values[block], mask[block])  # (block, N)
-        now_au, truth_au = time[block], targets[block]
+        block = torch.arange(start, min(start + _INSTANTS_AT_ONCE, len(time_au)))
+        posterior = fit(*history.windows(block, kernel.window_au), kernel=kernel)  # (block, N)
+        now_au, truth_au = history.time_au[block], history.targets_au[block]
         unc[block] = area_std(posterior, truth_au, now_au[:, None].expand(truth_au.shape[:-1]))
         instant_au = now_au[:, None, None].expand(-1, len(grid), 1)
-        query = torch.cat([grid.expand(len(now_au), -1, -1), instant_au], dim=-1)
+        query = torch.cat([grid.expand(len(block), -1, -1), instant_au], dim=-1)
         mean = posterior.mean(query[:, None])  # (block, N, 1600)
         jsd[block] = jensen_shannon(mean, truth_au)
         error_au[block] = peak_error_au(mean, truth_au)
@@ -222,28 +223,57 @@ def since_seen_au(time_au: FloatArray, observed: BoolArray) -> FloatArray:
     return since
 
 
-def _windows(
-    time_au: FloatArray,
-    agent_au: FloatArray,
-    targets_au: FloatArray,
-    observed: BoolArray,
-    prior: Prior,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """What each instant's belief is conditioned on, as `fit` takes it.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _History:
+    """A recorded episode as observations, so that any instant's window can be cut out of it.
 
-    -> points (S+1, N, n, 3), values (S+1, N, n), mask (S+1, N, n)
+    time_au: (S+1,); targets_au: (S+1, N, 2); points: (S+1, N, 3) and values: (S+1, N), what each
+    instant told; is_known: (S+1, N) whether the target is believed in; has_prior: (N,).
     """
-    time, agent, targets, seen = map(torch.as_tensor, (time_au, agent_au, targets_au, observed))
-    seen = seen.clone()  # the first of the observed is not looked at
-    seen[0] = prior == "full"
-    store = ObservationStore(1, observed.shape[1])
-    store.add_prior(seen[:1], targets[:1])
-    windows = [[tensor.clone() for tensor in store.window()]]
-    always = torch.ones(1, dtype=torch.bool)
-    for k in range(1, len(time)):
-        at = slice(k, k + 1)
-        store.add(time[at], agent[at], seen[at], targets[at], always)
-        windows.append([tensor.clone() for tensor in store.window()])
-    points, values, mask = (torch.cat(tensors) for tensors in zip(*windows, strict=True))
-    is_known = (seen.cumsum(dim=0) > 0) | (prior == "number")
-    return points, values, mask & is_known[..., None]
+
+    time_au: Tensor
+    targets_au: Tensor
+    points: Tensor
+    values: Tensor
+    is_known: Tensor
+    has_prior: Tensor
+
+    @classmethod
+    def of(
+        cls,
+        time_au: FloatArray,
+        agent_au: FloatArray,
+        targets_au: FloatArray,
+        observed: BoolArray,
+        prior: Prior,
+    ) -> _History:
+        """Read what each measurement told about each target; index 0 holds the prior."""
+        seen = observed.copy()
+        seen[0] = prior == "full"
+        known = np.maximum.accumulate(seen, axis=0) | (prior == "number")
+        place = np.where(seen[..., None], targets_au, agent_au[:, None])
+        time = np.broadcast_to(time_au[:, None, None], (*seen.shape, 1))
+        return cls(
+            time_au=torch.as_tensor(time_au),
+            targets_au=torch.as_tensor(targets_au),
+            points=torch.as_tensor(np.concatenate([place, time], axis=-1)),
+            values=torch.as_tensor(seen, dtype=torch.float64),
+            is_known=torch.as_tensor(known),
+            has_prior=torch.as_tensor(seen[0]),
+        )
+
+    def windows(self, instants: Tensor, window_au: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Observations that count at some instants.
+
+        instants: (T,) -> points (T, N, n, 3), values (T, N, n), mask (T, N, n).
+        """
+        begin = torch.searchsorted(self.time_au, self.time_au[instants] - window_au)
+        width = int((instants - begin).amax()) + 1
+        index = instants[:, None] - torch.arange(width)  # (T, n), the newest first
+        age_au = self.time_au[instants, None] - self.time_au[index.clamp_min(0)]
+        counts = (index >= 0) & (age_au < window_au)
+        index = index.clamp_min(0)
+        is_real = (index > 0)[:, None] | self.has_prior[:, None]  # (T, N, n)
+        mask = counts[:, None] & is_real & self.is_known[instants][..., None]
+        points, values = self.points[index].transpose(1, 2), self.values[index].transpose(1, 2)
+        return points, values, mask

@@ -2,9 +2,6 @@
 
 A path is a list of goals, flown to one after the other, straight or along a roadmap's shortest
 paths; what counts are the places where it measures.
-
-Numba keeps the machine code of this file until the file changes: a change of `scoring` or `moving`
-alone needs `__pycache__` emptied.
 """
 
 from __future__ import annotations

@@ -1,16 +1,23 @@
 """Pictures from a video file, which stands for any stream that OpenCV reads."""
 
 import asyncio
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import pytest
 
 from dronemon.camera import VideoCamera
-from dronemon.clock import ManualClock
 from dronemon.errors import CameraError
 
 NUM_FRAMES = 12
+
+
+@dataclass
+class StillClock:
+    """Stands still."""
+
+    time_s: float = 0.0
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +38,7 @@ async def capture_forever(camera):
 
 def test_file_plays_in_order_with_the_clock_less_the_latency(video):
     async def check():
-        clock = ManualClock(50.0)
+        clock = StillClock(50.0)
         async with VideoCamera(video, timeout_s=2.0, latency_s=0.25, clock=clock) as camera:
             pictures = [await camera.capture() for _ in range(4)]
         assert {picture.time_s for picture in pictures} == {49.75}
@@ -45,7 +52,7 @@ def test_file_plays_in_order_with_the_clock_less_the_latency(video):
 
 def test_end_of_the_file_is_an_error_and_the_next_capture_starts_again(video):
     async def check():
-        clock = ManualClock()
+        clock = StillClock()
         async with VideoCamera(video, timeout_s=2.0, latency_s=0.0, clock=clock) as camera:
             with pytest.raises(CameraError, match="ended or was silent"):
                 await capture_forever(camera)

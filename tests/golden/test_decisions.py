@@ -11,7 +11,9 @@ SAME_AU = 1e-9
 
 
 CASES = [
-    pytest.param(episode, id=episode[0], marks=[pytest.mark.slow] * (episode[2] != 10000))
+    pytest.param(
+        episode, id=episode[0], marks=[pytest.mark.slow] * (episode[2:] != (10000, "full"))
+    )
     for episode in episodes()
 ]
 

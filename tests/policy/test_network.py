@@ -122,7 +122,7 @@ def reference(request: pytest.FixtureRequest) -> Reference:
     variant, history = request.param
     sizes = [(8, 2), (11, 3)]
     network = make_network(VARIANTS[variant])
-    episodes = make_episodes(sizes, length=16, seed=history)
+    episodes = make_episodes(sizes, length=12, seed=history)
     logits, values = naive_all(network, episodes, sizes, history)
     return Reference(
         network=network, history=history, episodes=episodes, logits=logits, values=values

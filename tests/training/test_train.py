@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -82,6 +83,14 @@ def run(plan: Plan, iterations: int) -> None:
         train(plan, command="test", listen=listen)
 
 
+@pytest.fixture(scope="module")
+def first_iteration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was stopped after its first iteration, to be copied."""
+    folder = tmp_path_factory.mktemp("first") / "run"
+    run(make_plan(folder), 1)
+    return folder
+
+
 @pytest.mark.parametrize("learner", ["ppo", "expert"])
 def test_a_resumed_run_equals_one_that_was_never_interrupted(learner: str, tmp_path: Path) -> None:
     recipe = RECIPES[learner]
@@ -117,9 +126,8 @@ def test_the_best_weights_are_kept_with_their_card(tmp_path: Path) -> None:
     assert "val_unc" in (tmp_path / "best.md").read_text()
 
 
-def test_a_run_can_begin_with_other_weights(tmp_path: Path) -> None:
-    run(make_plan(tmp_path / "first"), 1)
-    start = str(tmp_path / "first" / "best.pt")
+def test_a_run_can_begin_with_other_weights(first_iteration: Path, tmp_path: Path) -> None:
+    start = str(first_iteration / "best.pt")
     run(make_plan(tmp_path / "second", start=start), 1)
     wider = replace(RECIPES["ppo"], network=replace(SMALL, width=32))
     with pytest.raises(CheckpointMismatch, match="its width is 16, not 32"):
@@ -130,8 +138,8 @@ def test_a_run_can_begin_with_other_weights(tmp_path: Path) -> None:
         )
 
 
-def test_a_folder_with_another_run_is_refused(tmp_path: Path) -> None:
-    run(make_plan(tmp_path), 1)
+def test_a_folder_with_another_run_is_refused(first_iteration: Path, tmp_path: Path) -> None:
+    shutil.copytree(first_iteration, tmp_path, dirs_exist_ok=True)
     with pytest.raises(CheckpointMismatch, match="that run has seed 0, not 1"):
         run(make_plan(tmp_path, seed=1), 1)
     longer = replace(RECIPES["ppo"], settings=replace(PAPER, decisions=13))
