@@ -56,7 +56,7 @@ async def lossy_wire(vehicle_port, client_port):
             side.transport.close()
 
 
-@pytest.mark.flights
+@pytest.mark.slow
 def test_a_flight_survives_loss_and_delay(mock_vehicle):
     port = free_udp_port()
     url = f"udpin://127.0.0.1:{port}"
