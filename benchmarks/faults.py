@@ -50,7 +50,7 @@ view: {{live: false}}
 """
 MOMENTS = ("take-off", "patrol", "return")
 FLIGHT_LIMIT_S = 300.0
-_FULL_DISK_BYTES = 20_000
+_FULL_DISK_BYTES = 4_000
 
 
 Child = subprocess.Popen[str]
@@ -68,7 +68,7 @@ def _signals(*numbers: signal.Signals, pause_s: float = 1.0) -> Callable[[Child]
 
 
 def _kill_simulator(child: Child) -> None:
-    subprocess.run(["pkill", "-KILL", "-P", str(child.pid), "-f", "-m sim"], check=False)
+    subprocess.run(["pkill", "-KILL", "-P", str(child.pid), "-f", "--", "-m sim"], check=False)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from dronemon.camera import check_picture
-from dronemon.errors import CameraError, DronemonError, PlannerError
+from dronemon.errors import CameraError, DronemonError, PlannerError, VehicleError
 from dronemon.events import AreaLaid, EventStream, Progressed
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import State
@@ -263,4 +263,6 @@ class _Flight:
     def _distance_from_home_m(self) -> float | None:
         if self._home_ned_m is None or not self._link.state.is_position_good:
             return None
-        return math.dist(self._link.pose.position_ned_m[:2], self._home_ned_m[:2])
+        with contextlib.suppress(VehicleError):  # it has rebooted, and is not heard yet
+            return math.dist(self._link.pose.position_ned_m[:2], self._home_ned_m[:2])
+        return None
