@@ -50,7 +50,7 @@ view: {{live: false}}
 """
 MOMENTS = ("take-off", "patrol", "return")
 FLIGHT_LIMIT_S = 300.0
-_FULL_DISK_BYTES = 4_000
+_FULL_DISK_BYTES = 2_500
 
 
 Child = subprocess.Popen[str]

@@ -75,9 +75,30 @@ def _verify(flight: Flight) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def _family(pid: int) -> list[int]:
+    """A process and all that it started."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [pid, *(one for child in children for one in _family(int(child)))]
+
+
+def _addresses(pid: int) -> set[str]:
+    """Where the sockets of a program and its children are bound, as /proc writes it."""
+    inodes = {
+        link.readlink().name.removeprefix("socket:[").removesuffix("]")
+        for one in _family(pid)
+        for link in Path(f"/proc/{one}/fd").iterdir()
+        if link.is_symlink()
+    }
+    tables = [Path(f"/proc/net/{name}") for name in ("tcp", "tcp6", "udp", "udp6")]
+    rows = [line.split() for table in tables for line in table.read_text().splitlines()[1:]]
+    return {row[1].split(":")[0] for row in rows if row[9] in inodes}
+
+
 def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
-    options = ("--horizon-au", "1", "--speed-up", "8")
+    options = ("--horizon-au", "1", "--speed-up", "8", "--view")
     flight = fly("--mission", "missions/animals.yaml", *options)
+    flight.wait_for_event("patrol")
+    assert _addresses(flight.process.pid) == {"0100007F"}, "all that listens is on 127.0.0.1"
     code, output = flight.finish()
     assert code == 0, output
     summary = flight.summary()
