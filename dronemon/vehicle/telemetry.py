@@ -96,15 +96,16 @@ class Telemetry:
 
     def _is_late(self, name: str, fields: dict[str, Any]) -> bool:
         """Whether a message with a stamp, ATTITUDE apart, is not of the present."""
+        boot_ms = _whole(fields.get("time_boot_ms", 0), 0, 2**32 - 1)
         if name == "ATTITUDE":
             return False
         if "time_boot_ms" in fields:
-            stamp, ahead_ms = fields["time_boot_ms"], self._clock.ahead_ms
+            stamp, ahead_ms = boot_ms, self._clock.ahead_ms
             is_late = ahead_ms(stamp) < ahead_ms(self._stamps.get(name, stamp))
             is_late = is_late or ahead_ms(stamp) > LATE_MS  # of another clock
         else:  # `time_usec` counts from boot or from 1970
-            stamp = fields.get("time_usec", 0)
-            is_late = stamp < self._stamps.get(name, 0)
+            stamp = _whole(fields.get("time_usec", 0), 0, 2**64 - 1)
+            is_late = 0 < self._stamps.get(name, 0) - stamp <= LATE_MS * 1000
         if not is_late:
             self._stamps[name] = stamp
         return is_late
@@ -253,7 +254,7 @@ def _vector(fields: dict[str, Any], names: tuple[str, str, str], limit: float) -
 
 def _whole(value: int, least: int, most: int) -> int:
     """A whole number of a message. Raises ValueError if it cannot be."""
-    if not least <= value <= most:
+    if not isinstance(value, int) or not least <= value <= most:
         raise ValueError(f"{value} is not within {least} to {most}")
     return value
 
@@ -264,5 +265,5 @@ def _geo_point(fields: dict[str, Any]) -> GeoPoint:
     return GeoPoint(
         latitude_deg=_whole(latitude, -900_000_000, 900_000_000) / 1e7,
         longitude_deg=_whole(longitude, -1_800_000_000, 1_800_000_000) / 1e7,
-        altitude_m=altitude / 1e3,
+        altitude_m=_whole(altitude, -(2**31), 2**31) / 1e3,
     )
