@@ -1,9 +1,14 @@
-"""A carrot that runs along the legs of the flight and never stops at a waypoint.
+"""A carrot that runs along the legs of the flight, just ahead of the vehicle.
 
-The carrot's position is the mean of the path over a window of +-w around its arc length s, its
-velocity the derivative. A corner so becomes a parabola with constant acceleration
-v^2 |d2 - d1| / (2 w), where d1 and d2 are the directions of the legs: w = v^2 / (2 a) keeps it at
-or below a for turns to 60 degrees. The carrot slows down as it gets ahead of the vehicle.
+The path is the mean of the legs over a window of +-w around arc length s, its tangent the
+derivative by s. A corner so becomes a parabola: flown at ds/dt = v it takes the constant
+acceleration v^2 |d2 - d1| / (2 w), where d1 and d2 are the directions of the legs, and
+w = v^2 / (2 a) makes that a for a turn of 60 degrees. Where the tangent is shorter than 1, s moves
+faster, so that the vehicle keeps its ground speed in all but the sharpest corners.
+
+PX4 flies at the velocity of a setpoint plus MPC_XY_P times what it is off the position. Velocity
+and acceleration are the path's at cruise speed; a carrot that waits when it leads by too much, and
+a shorter velocity where the vehicle is off the path, keep the sum within `max_speed_m_s`.
 """
 
 from __future__ import annotations
@@ -12,11 +17,27 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
+from dronemon.types import Pose
+
 Point = tuple[float, float]
-_LEAD_FREE_S = 0.5
-"""The carrot keeps its speed while it is less than this far ahead, in seconds of cruise."""
-_LEAD_STOP_S = 2.5
-"""And waits when it is this far ahead."""
+POSITION_GAIN_PER_S = 0.95
+"""PX4's MPC_XY_P as it comes."""
+_WINDOW_MAX_S = 2.0
+"""A window in seconds of cruise: a fast drone turns harder than `a` to keep to its legs."""
+_SHORTEST_TANGENT = 0.8
+"""Corners are flown at cruise speed where the tangent is longer, slower where it is shorter."""
+_LEAD_FREE = 0.4
+"""The carrot keeps its speed below this share of the lead at which it waits."""
+_ASIDE_S = 0.5
+"""Being off the path counts as a lead from here on, in seconds of cruise."""
+_PREVIEW_S = 0.1
+"""Acceleration is the change of velocity over this time."""
+_GRAVITY_M_S2 = 9.80665
+_SPREAD_M2_S2 = 4.0
+"""Variance of the velocity above which it tells more about the drag than what we assume: none."""
+_DRAG_MAX_PER_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +64,23 @@ class _Leg:
 class Carrot:
     """Moves along a growing path of legs in the horizontal plane (north, east in metres).
 
-    window_m is how long before a leg's end the next one is needed.
+    window_m is how long before a leg's end the next one is needed; with none known the carrot
+    brakes from there on.
     """
 
-    def __init__(self, start_m: Point, *, speed_m_s: float, max_acceleration_m_s2: float) -> None:
-        self._speed_m_s = speed_m_s
-        self.window_m = 0.5 * speed_m_s**2 / max_acceleration_m_s2
+    def __init__(
+        self,
+        start_m: Point,
+        *,
+        speed_m_s: float,
+        max_speed_m_s: float,
+        max_acceleration_m_s2: float,
+    ) -> None:
+        self._cruise_m_s = speed_m_s
+        self._max_m_s = max_speed_m_s
+        self.window_m = speed_m_s * min(0.5 * speed_m_s / max_acceleration_m_s2, _WINDOW_MAX_S)
+        self._acceleration_m_s2 = 0.5 * speed_m_s**2 / self.window_m
+        self._speed_m_s = 0.0  # over ground, were the vehicle on the path
         self._legs: deque[_Leg] = deque()
         self.end_m = start_m
         """Last waypoint of the path."""
@@ -73,29 +105,72 @@ class Carrot:
         self._legs.append(_Leg(self.end_m, waypoint_m, start_m, length_m))
         self.end_m = waypoint_m
 
-    def advance(self, duration_s: float, vehicle_m: Point) -> tuple[Point, Point]:
-        """Move on. -> carrot's position (north, east) in m, its velocity in m/s."""
-        position, direction = self._smoothed()
-        lead_s = math.dist(position, vehicle_m) / self._speed_m_s
-        pace = min(max((_LEAD_STOP_S - lead_s) / (_LEAD_STOP_S - _LEAD_FREE_S), 0.0), 1.0)
-        step_m = min(self._speed_m_s * pace * duration_s, max(self.remaining_m, 0.0))
-        self._s_m += step_m
+    def advance(self, duration_s: float, vehicle_m: Point) -> tuple[Point, Point, Point]:
+        """Move on. -> what to ask for (north, east): position in m, velocity, acceleration."""
+        self._speed_m_s = self._speed_after(duration_s, self.remaining_m)
+        position_m, tangent = self._smoothed(self._s_m)
+        rate_m_s = self._speed_m_s / _stretch(tangent)
+        pace = self._pace(position_m, tangent, vehicle_m)
+        self._s_m += min(rate_m_s * pace * duration_s, self.remaining_m)
         while len(self._legs) > 1 and self._legs[0].end_m < self._s_m - self.window_m:
             self._legs.popleft()
-        position, direction = self._smoothed()
-        speed_m_s = step_m / duration_s if duration_s > 0.0 else 0.0
-        return position, (direction[0] * speed_m_s, direction[1] * speed_m_s)
+        position_m, velocity_m_s = self._motion(self._s_m, self._speed_m_s)
+        ahead_m = min(rate_m_s * _PREVIEW_S, self.remaining_m)
+        soon_m_s = self._speed_after(_PREVIEW_S, self.remaining_m - ahead_m)
+        _, then_m_s = self._motion(self._s_m + ahead_m, soon_m_s)
+        north, east = ((b - a) / _PREVIEW_S for a, b in zip(velocity_m_s, then_m_s, strict=True))
+        return *self._bounded(position_m, velocity_m_s, vehicle_m), (north, east)
 
-    def _smoothed(self) -> tuple[Point, Point]:
+    def _speed_after(self, duration_s: float, remaining_m: float) -> float:
+        """Ground speed that is reached by then, and from which it can stop at the path's end."""
+        a = self._acceleration_m_s2
+        stopping_m_s = math.sqrt(2.0 * a * remaining_m)
+        return min(self._speed_m_s + a * duration_s, self._cruise_m_s, stopping_m_s)
+
+    def _pace(self, position_m: Point, tangent: Point, vehicle_m: Point) -> float:
+        """Share of its speed at which the carrot goes on: it must not lead by too much."""
+        north_m, east_m = position_m[0] - vehicle_m[0], position_m[1] - vehicle_m[1]
+        along_m = (north_m * tangent[0] + east_m * tangent[1]) / (math.hypot(*tangent) or 1.0)
+        lead_m = max(along_m, math.hypot(north_m, east_m) - _ASIDE_S * self._cruise_m_s)
+        most_m = (self._max_m_s - self._cruise_m_s) / POSITION_GAIN_PER_S
+        if lead_m <= _LEAD_FREE * most_m:
+            return 1.0
+        return max(most_m - lead_m, 0.0) / ((1.0 - _LEAD_FREE) * most_m) if most_m else 0.0
+
+    def _bounded(
+        self, position_m: Point, velocity_m_s: Point, vehicle_m: Point
+    ) -> tuple[Point, Point]:
+        """Position and velocity for which PX4 flies no faster than it may; position comes first."""
+        gain, limit = POSITION_GAIN_PER_S, self._max_m_s
+        off = [gain * (p - v) for p, v in zip(position_m, vehicle_m, strict=True)]
+        off_m_s = math.hypot(*off)
+        if off_m_s >= limit:
+            near = [v + o / gain * limit / off_m_s for v, o in zip(vehicle_m, off, strict=True)]
+            return (near[0], near[1]), (0.0, 0.0)
+        north, east = velocity_m_s
+        if math.hypot(off[0] + north, off[1] + east) <= limit:
+            return position_m, velocity_m_s
+        # The largest k with |off + k velocity| <= limit.
+        size, along = north**2 + east**2, off[0] * north + off[1] * east
+        k = (math.sqrt(along**2 + size * (limit**2 - off_m_s**2)) - along) / size
+        return position_m, (north * k, east * k)
+
+    def _motion(self, s_m: float, speed_m_s: float) -> tuple[Point, Point]:
+        """Place and velocity on the path at s, at a ground speed that corners may take from."""
+        position_m, tangent = self._smoothed(s_m)
+        rate_m_s = speed_m_s / _stretch(tangent)
+        return position_m, (tangent[0] * rate_m_s, tangent[1] * rate_m_s)
+
+    def _smoothed(self, s_m: float) -> tuple[Point, Point]:
         """Mean of the path over the window around s, and its derivative by s."""
         if not self._legs:
             return self.end_m, (0.0, 0.0)
         first_m, last_m = self._legs[0].start_m, self._legs[-1].end_m
-        half_m = min(self.window_m, self._s_m - first_m, last_m - self._s_m)
+        half_m = min(self.window_m, s_m - first_m, last_m - s_m)
         if half_m < 1e-3:
-            leg = next(leg for leg in self._legs if leg.end_m >= self._s_m)
-            return leg.at(self._s_m), _direction(leg)
-        low_m, high_m = self._s_m - half_m, self._s_m + half_m
+            leg = next((leg for leg in self._legs if leg.end_m >= s_m), self._legs[-1])
+            return leg.at(s_m), _direction(leg)
+        low_m, high_m = s_m - half_m, s_m + half_m
         north = east = 0.0
         for leg in self._legs:
             a_m, b_m = max(low_m, leg.start_m), min(high_m, leg.end_m)
@@ -114,6 +189,52 @@ class Carrot:
     def cross_track_m(self, position_m: Point) -> float:
         """Distance from a place to the legs around the carrot."""
         return min((_distance_to(leg, position_m) for leg in self._legs), default=0.0)
+
+
+class Drag:
+    """Deceleration per ground speed, learned from how far the vehicle tilts to fly as it does.
+
+    PX4 learns the wind and the drag of one direction together, in seconds; after a corner it would
+    be slow for as long if the drag of the new direction were not fed forward.
+    """
+
+    def __init__(self) -> None:
+        self._last: Pose | None = None
+        self._num = 0
+        self._sums = np.zeros(6)  # velocity, deceleration (north, east), and their products
+
+    def take(self, pose: Pose) -> None:
+        """Learn from how the vehicle moved since the last pose, and how it is tilted."""
+        last, self._last = self._last, pose
+        if last is None or pose.time_s <= last.time_s:
+            return
+        (roll, pitch, yaw), duration_s = pose.attitude_rad, pose.time_s - last.time_s
+        forward, right = -math.tan(pitch), math.tan(roll) / math.cos(pitch)
+        push = _GRAVITY_M_S2 * np.array(
+            [
+                forward * math.cos(yaw) - right * math.sin(yaw),
+                forward * math.sin(yaw) + right * math.cos(yaw),
+            ]
+        )
+        velocity = np.array(pose.velocity_ned_m_s[:2])
+        lost = push - (velocity - last.velocity_ned_m_s[:2]) / duration_s
+        self._num += 1
+        self._sums += [*velocity, *lost, velocity @ velocity, velocity @ lost]
+
+    @property
+    def per_s(self) -> float:
+        """Slope of deceleration over velocity; what does not depend on velocity is the wind's."""
+        if not self._num:
+            return 0.0
+        means = self._sums / self._num
+        velocity, lost = means[:2], means[2:4]
+        slope = (means[5] - velocity @ lost) / (means[4] - velocity @ velocity + _SPREAD_M2_S2)
+        return float(min(max(slope, 0.0), _DRAG_MAX_PER_S))
+
+
+def _stretch(tangent: Point) -> float:
+    """Ground speed over ds/dt, but that s does not run through a sharp corner."""
+    return max(math.hypot(*tangent), _SHORTEST_TANGENT)
 
 
 def _direction(leg: _Leg) -> Point:

@@ -16,6 +16,13 @@ _DESCENT_M_S = 0.7
 def mission_problems(mission: Mission) -> Iterator[Problem]:
     """Each key at fault, and what is wrong."""
     yield from _twins(mission)
+    flight = mission.flight
+    if flight.speed_limit_m_s < flight.cruise_speed_m_s:
+        yield (
+            ("flight", "max_speed_m_s"),
+            f"{flight.speed_limit_m_s:g} is less than cruise_speed_m_s, "
+            f"{flight.cruise_speed_m_s:g}; raise it, or leave it out for cruise and 10 %",
+        )
     if problem := battery_problem(mission):
         horizon = "horizon_min" if mission.flight.horizon_min is not None else "horizon_au"
         yield ("flight", horizon), problem

@@ -62,8 +62,10 @@ class Flight(Section):
     """Height above the take-off point on patrol."""
     cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0)
     """Ground speed on patrol."""
+    max_speed_m_s: float | None = Field(None, ge=0.5, le=50.0)
+    """Bound of the ground speed that guidance asks for; cruise and 10 % if absent."""
     max_acceleration_m_s2: float = Field(2.0, ge=0.5, le=10.0)
-    """Horizontal acceleration that guidance asks for; drone and camera bank for it."""
+    """Acceleration asked for in a turn of 60 degrees; above a cruise speed of 4 s of it, more."""
     horizon_au: float | None = Field(None, gt=0.0, le=1000.0)
     """Patrol length in sides of the area; 30 if horizon_min is absent too."""
     horizon_min: float | None = Field(None, gt=0.0, le=600.0)
@@ -80,6 +82,11 @@ class Flight(Section):
         if self.horizon_au is not None and self.horizon_min is not None:
             raise ValueError("give horizon_au or horizon_min, not both")
         return self
+
+    @property
+    def speed_limit_m_s(self) -> float:
+        """Bound of the ground speed that guidance asks for."""
+        return self.max_speed_m_s or 1.1 * self.cruise_speed_m_s
 
     @property
     def bank_rad(self) -> float:

@@ -17,7 +17,7 @@ from dronemon.errors import PlannerError
 from dronemon.events import Decided, EventStream, Moved, Progressed
 from dronemon.frames import AreaFrame
 from dronemon.guard import Action
-from dronemon.guidance import Carrot
+from dronemon.guidance import Carrot, Drag, Point
 from dronemon.planner import Snapshot, Waypoint
 from dronemon.planner.motion import waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
@@ -33,6 +33,7 @@ from dronemon.vehicle import Setpoint
 
 SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
+_STILL: Point = (0.0, 0.0)
 _MAX_PENDING = 4
 _SLOW_PLANNER_S = 1.0
 _OFF_HEIGHT_S = 3.0
@@ -72,6 +73,7 @@ class Patrol:
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_asked = self._is_slowness_told = False
         self._at_height_s = 0.0
+        self._drag = Drag()
         self.tally: Tally | None = None
 
     async def run(self) -> None:
@@ -86,7 +88,7 @@ class Patrol:
         self._is_waypoint_asked = False
         self._work: asyncio.Queue[Shot | None] = asyncio.Queue(2 * _MAX_PENDING)
         self._observer.resume(self._work)
-        await self._link.start_offboard(self._setpoint(pose.position_ned_m[:2], (0.0, 0.0)))
+        await self._link.start_offboard(self._setpoint(pose.position_ned_m[:2]))
         try:
             async with asyncio.TaskGroup() as group:
                 others = [
@@ -109,6 +111,7 @@ class Patrol:
         self._carrot = Carrot(
             pose.position_ned_m[:2],
             speed_m_s=flight.cruise_speed_m_s,
+            max_speed_m_s=flight.speed_limit_m_s,
             max_acceleration_m_s2=flight.max_acceleration_m_s2,
         )
         self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
@@ -135,20 +138,27 @@ class Patrol:
             if self._link.state.num_resets != self._num_resets:
                 self._events.note("position", "the estimate moved; so does the path", level="WARN")
                 self._set_out(pose)
-            position_m, velocity_m_s = self._carrot.advance(
+            self._drag.take(pose)
+            motion = self._carrot.advance(
                 min(duration_s, 4 * SETPOINT_INTERVAL_S), pose.position_ned_m[:2]
             )
-            await self._link.send_setpoint(self._setpoint(position_m, velocity_m_s))
+            await self._link.send_setpoint(self._setpoint(*motion))
             self._ask_for_waypoint(pose)
             self._ask_for_picture(pose)
             self._supervisor.report("patrol" if self.tally else "to the start")
 
     def _setpoint(
-        self, position_m: tuple[float, float], velocity_m_s: tuple[float, float]
+        self, position_m: Point, velocity_m_s: Point = _STILL, acceleration_m_s2: Point = _STILL
     ) -> Setpoint:
+        (north, east), drag = acceleration_m_s2, self._drag.per_s
         return Setpoint(
             position_ned_m=(*position_m, self._down_m),
             velocity_ned_m_s=(*velocity_m_s, 0.0),
+            acceleration_ned_m_s2=(
+                north + drag * velocity_m_s[0],
+                east + drag * velocity_m_s[1],
+                0.0,
+            ),
             yaw_rad=self._frame.heading_rad,
         )
 
@@ -295,5 +305,5 @@ class Patrol:
         )
 
 
-def _point(north_east_m: FloatArray) -> tuple[float, float]:
+def _point(north_east_m: FloatArray) -> Point:
     return float(north_east_m[0]), float(north_east_m[1])

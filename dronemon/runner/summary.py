@@ -30,6 +30,7 @@ class Flown:
     distance_au: float
     patrol_s: float
     mean_speed_m_s: float | None
+    speed_p99_m_s: float | None
     cross_track_p95_m: float | None
     cross_track_p95_au: float | None
     pictures: int
@@ -107,6 +108,7 @@ def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
         distance_au=tally.flown_m / side_m,
         patrol_s=tally.duration_s,
         mean_speed_m_s=tally.flown_m / tally.duration_s if tally.duration_s else None,
+        speed_p99_m_s=_percentile(tally.speeds_m_s, 99),
         cross_track_p95_m=_percentile(tally.cross_track_m, 95),
         cross_track_p95_au=_percentile(np.array(tally.cross_track_m) / side_m, 95),
         pictures=len(tally.sightings),
@@ -161,7 +163,7 @@ def facts(summary: Summary) -> dict[str, str]:
     table = {"outcome": summary.outcome}
     show("landing", "{:.1f} m from home", "landing_error_m")
     show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
-    show("mean ground speed", "{:.2f} m/s", "mean_speed_m_s")
+    show("ground speed", "{:.2f} m/s, p99 {:.2f} m/s", "mean_speed_m_s", "speed_p99_m_s")
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")
     show("pictures", "{} of {}, {:.2f} m apart", "pictures", "pictures_due", "picture_spacing_m")
     show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")

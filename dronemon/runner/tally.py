@@ -15,7 +15,7 @@ class Tally:
 
     start_s: vehicle time at which it began; sightings: the mission's log, and
     times_s: vehicle time of each measurement in it; progress: vehicle time
-    and distance flown at each setpoint.
+    and distance flown at each setpoint; speeds_m_s: over ground, at each pose.
     """
 
     start_s: float
@@ -26,6 +26,7 @@ class Tally:
     last_seen_s: dict[str, float] = field(default_factory=dict)
     num_pictures_due: int = 0
     progress: list[tuple[float, float]] = field(default_factory=list)
+    speeds_m_s: list[float] = field(default_factory=list)
     decision_ms: list[float] = field(default_factory=list)
     cross_track_m: list[float] = field(default_factory=list)
 
@@ -34,6 +35,7 @@ class Tally:
         duration_s = pose.time_s - last.time_s
         self.flown_m += pose.ground_speed_m_s * duration_s
         self.duration_s += duration_s
+        self.speeds_m_s.append(pose.ground_speed_m_s)
 
     def since_seen_s(self, names: tuple[str, ...], now_s: float) -> Mapping[str, float | None]:
         """Seconds since each target was seen; None: never."""

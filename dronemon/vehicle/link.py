@@ -91,6 +91,7 @@ class Setpoint:
 
     position_ned_m: Vector3
     velocity_ned_m_s: Vector3
+    acceleration_ned_m_s2: Vector3 = (0.0, 0.0, 0.0)
     yaw_rad: float
 
 

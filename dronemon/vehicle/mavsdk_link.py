@@ -24,12 +24,6 @@ from dronemon.vehicle.px4 import RUN_CHECKS, Command
 from dronemon.vehicle.readiness import problems
 from dronemon.vehicle.wire import Wire
 
-_POSITION_VELOCITY_YAW = (  # of a setpoint: the rest is ignored
-    mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_AY_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_AZ_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
-)
 _WANTED_HZ = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
@@ -318,11 +312,12 @@ class MavsdkLink:
             "SET_POSITION_TARGET_LOCAL_NED",
             time_boot_ms=round(self.time_s * 1000.0) % 2**32,
             coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
-            type_mask=_POSITION_VELOCITY_YAW,
+            type_mask=mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE,
             yaw=setpoint.yaw_rad,
+            yaw_rate=0.0,
             **dict(zip("xyz", setpoint.position_ned_m, strict=True)),
             **dict(zip(("vx", "vy", "vz"), setpoint.velocity_ned_m_s, strict=True)),
-            **dict.fromkeys(("afx", "afy", "afz", "yaw_rate"), 0.0),
+            **dict(zip(("afx", "afy", "afz"), setpoint.acceleration_ned_m_s2, strict=True)),
         )
         self._sent = asyncio.get_running_loop().time(), self.time_s
 

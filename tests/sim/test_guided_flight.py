@@ -1,0 +1,130 @@
+"""Guidance and the simulated autopilot together: speed and cross-track on patrol."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import deque
+
+import numpy as np
+import pytest
+from in_memory import hover, ready_vehicle, take_off
+
+from dronemon.guidance import Carrot, Drag, Point
+from sim.autopilot import STEP_S, Autopilot
+from sim.control import TrajectorySetpoint
+from sim.modes import Px4Mode
+
+INTERVAL_S = 0.05
+TELEMETRY_STEPS = 2
+
+
+def fly_legs(
+    vehicle: Autopilot, carrot: Carrot, leg_m: float, *, loss: float = 0.0, delay_s: float = 0.0
+) -> tuple[list[float], list[float]]:
+    """Fly random legs of up to this length, with turns to 110 degrees, for 40 s.
+
+    loss, delay_s: of telemetry, and of setpoints.
+
+    -> ground speeds in m/s and cross-track errors in m, once it is under way
+    """
+    rng, drag = random.Random(4), Drag()
+    heading_rad, asked_s, start_s = 0.0, -math.inf, vehicle.time_s
+    poses: deque[tuple[float, float, Point]] = deque()
+    setpoints: deque[tuple[float, TrajectorySetpoint]] = deque()
+    speeds_m_s, cross_track_m = [], []
+    for step in range(round(40.0 / STEP_S)):
+        now_s, (north_m, east_m, _) = vehicle.time_s, vehicle.estimate.position
+        if step % TELEMETRY_STEPS == 0 and rng.random() >= loss:
+            poses.append((now_s + delay_s, now_s, (north_m, east_m)))
+        while poses and poses[0][0] <= now_s:
+            _, heard_s, at_m = poses.popleft()
+            if heard_s < asked_s + INTERVAL_S - 1e-6:
+                continue
+            if carrot.needs_waypoint:
+                heading_rad += math.radians(rng.uniform(-110.0, 110.0))
+                way_m, (north, east) = rng.uniform(0.4, 1.0) * leg_m, carrot.end_m
+                carrot.extend(
+                    (north + way_m * math.cos(heading_rad), east + way_m * math.sin(heading_rad))
+                )
+            drag.take(vehicle.body.pose(heard_s))
+            position_m, velocity_m_s, push = carrot.advance(min(heard_s - asked_s, 0.2), at_m)
+            push = (
+                push[0] + drag.per_s * velocity_m_s[0],
+                push[1] + drag.per_s * velocity_m_s[1],
+            )
+            asked_s = heard_s
+            if now_s > start_s + 6.0:
+                cross_track_m.append(carrot.cross_track_m(at_m))
+            if rng.random() >= loss:
+                setpoints.append(
+                    (now_s + delay_s, at_height(vehicle, position_m, velocity_m_s, push))
+                )
+        while setpoints and setpoints[0][0] <= now_s:
+            vehicle.take_offboard(setpoints.popleft()[1])
+        vehicle.step()
+        if now_s > start_s + 6.0:
+            speeds_m_s.append(math.hypot(*vehicle.estimate.velocity[:2]))
+    assert vehicle.commander.mode is Px4Mode.OFFBOARD
+    return speeds_m_s, cross_track_m
+
+
+def at_height(
+    vehicle: Autopilot, position_m: Point, velocity_m_s: Point, acceleration_m_s2: Point
+) -> TrajectorySetpoint:
+    return TrajectorySetpoint(
+        position=(*position_m, vehicle.setpoint.position[2]),
+        velocity=(*velocity_m_s, 0.0),
+        acceleration=(*acceleration_m_s2, 0.0),
+        yaw_rad=0.0,
+    )
+
+
+def set_out(speed_m_s: float, wind_m_s: float) -> tuple[Autopilot, Carrot]:
+    """A vehicle in OFFBOARD in the air, and a carrot at its place."""
+    vehicle = ready_vehicle(simulation={"wind_m_s": wind_m_s})
+    take_off(vehicle, 10.0)
+    vehicle.take_offboard(hover(vehicle))
+    assert vehicle.request_mode(Px4Mode.OFFBOARD)
+    vehicle.step()
+    north_m, east_m, _ = vehicle.estimate.position
+    carrot = Carrot(
+        (north_m, east_m),
+        speed_m_s=speed_m_s,
+        max_speed_m_s=1.1 * speed_m_s,
+        max_acceleration_m_s2=2.0,
+    )
+    return vehicle, carrot
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "leg_m", "side_m"), [(5.0, 25.0, 150.0), (8.0, 25.0, 200.0), (12.0, 60.0, 300.0)]
+)
+@pytest.mark.parametrize("wind_m_s", [0.0, 5.0])
+def test_speed_and_cross_track_keep_their_bounds(
+    speed_m_s: float, leg_m: float, side_m: float, wind_m_s: float
+) -> None:
+    keep_bounds(speed_m_s, leg_m, side_m, wind_m_s)
+
+
+@pytest.mark.parametrize(("speed_m_s", "side_m"), [(5.0, 150.0), (8.0, 200.0)])
+def test_much_drag_is_learned_and_outweighed(
+    monkeypatch: pytest.MonkeyPatch, speed_m_s: float, side_m: float
+) -> None:
+    monkeypatch.setattr("sim.dynamics._DRAG_PER_S", 1.0)
+    keep_bounds(speed_m_s, 25.0, side_m, 0.0)
+
+
+def keep_bounds(speed_m_s: float, leg_m: float, side_m: float, wind_m_s: float) -> None:
+    speeds_m_s, cross_track_m = fly_legs(*set_out(speed_m_s, wind_m_s), leg_m)
+    assert np.percentile(speeds_m_s, 99) <= 1.1 * speed_m_s
+    assert np.mean(speeds_m_s) >= 0.92 * speed_m_s
+    assert np.percentile(cross_track_m, 95) <= 0.02 * side_m
+
+
+def test_on_a_late_link_that_loses_a_fifth_it_is_slower_and_as_exact() -> None:
+    vehicle, carrot = set_out(5.0, 5.0)
+    speeds_m_s, cross_track_m = fly_legs(vehicle, carrot, 25.0, loss=0.2, delay_s=0.2)
+    assert np.percentile(speeds_m_s, 99) <= 1.1 * 5.0
+    assert np.mean(speeds_m_s) >= 0.65 * 5.0
+    assert np.percentile(cross_track_m, 95) <= 0.02 * 150.0
