@@ -35,6 +35,7 @@ import yaml
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Event, Measured, Noted
 from dronemon.mission import Mission
+from dronemon.mission.scalars import Dumper
 
 MISSION_FILE = "mission.yaml"
 OBSERVATIONS_FILE = "observations.jsonl"
@@ -260,9 +261,9 @@ def _append(file: FileIO, line: bytes) -> None:
 
 def _as_flown(mission: Mission) -> str:
     """The mission with every default and override, as a file that can be flown again."""
-    return yaml.safe_dump(
-        mission.model_dump(mode="json", exclude_none=True), sort_keys=False, allow_unicode=True
-    )
+    data = mission.model_dump(mode="json", exclude_none=True)
+    text: str = yaml.dump(data, Dumper=Dumper, sort_keys=False, allow_unicode=True)
+    return text
 
 
 def _now() -> datetime:

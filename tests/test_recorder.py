@@ -11,9 +11,9 @@ import yaml
 
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Measured, Noted
-from dronemon.mission import Mission
+from dronemon.mission import Mission, load_mission
 from dronemon.mission.schema import Target
-from dronemon.recorder import RUN_FILES, RunFolder, RunRecorder
+from dronemon.recorder import MISSION_FILE, RUN_FILES, RunFolder, RunRecorder
 from dronemon.types import Measurement
 
 NAMES = ("Bella", "Zuri")
@@ -170,7 +170,7 @@ WRITER = """
 import itertools, sys
 from pathlib import Path
 from dronemon.events import Noted
-from dronemon.mission import Mission
+from dronemon.mission import Mission, load_mission
 from dronemon.mission.schema import Target
 from dronemon.recorder import RunRecorder
 mission = Mission(targets=(Target(name="a", appearance="cow"),))
@@ -256,3 +256,10 @@ def test_a_summary_that_is_cut_short_is_a_clear_error(tmp_path: Path) -> None:
         file.write_text('{"outcome": ')
     with pytest.raises(RecordError, match=r"summary\.json is damaged"):
         run.folder.summary()
+
+
+def test_the_mission_as_flown_can_be_flown_again(tmp_path: Path):
+    mission = MISSION.model_copy(update={"name": "2e2"})  # a text, if it looks like a number
+    with RunRecorder.create(mission, root=tmp_path) as run:
+        assert load_mission(run.folder.path / MISSION_FILE).mission == mission
+        run.finish("completed", {})

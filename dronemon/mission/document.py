@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from dronemon.errors import MissionFileError
+from dronemon.mission.scalars import Loader, scalar_flaw
 
 Model = TypeVar("Model", bound=BaseModel)
 KeyPath = tuple[str | int, ...]
@@ -36,6 +37,7 @@ class Document:
     kind:    what such a file is called
     data:    its content, options included
     entries: its keys and items, in the order of the file
+    flaws:   keys and items that YAML does not read as they are written
     options: keys that came by an option -> its name
     """
 
@@ -43,6 +45,7 @@ class Document:
     kind: str
     data: dict[str, Any]
     entries: tuple[Entry, ...]
+    flaws: tuple[Problem, ...]
     options: Mapping[KeyPath, str]
 
     @classmethod
@@ -56,8 +59,13 @@ class Document:
             raise MissionFileError(f"{path}: cannot be read: {exc}") from exc
         try:
             _refuse_traps(path, text)
-            root = yaml.compose(text, yaml.SafeLoader)
-            data = yaml.safe_load(text)
+            root = yaml.compose(text, Loader)
+            data = yaml.load(text, Loader)
+            flaws = tuple(_flaws(root))
+        except yaml.reader.ReaderError as exc:
+            line = text.count("\n", 0, exc.position) + 1
+            what = f"the character {chr(exc.character)!a} is not allowed"
+            raise MissionFileError(f"{path}:{line}: not valid YAML: {what}") from exc
         except yaml.MarkedYAMLError as exc:
             line = exc.problem_mark.line + 1 if exc.problem_mark else 1
             raise MissionFileError(f"{path}:{line}: not valid YAML: {exc.problem}") from exc
@@ -71,7 +79,14 @@ class Document:
             if isinstance(given, dict):
                 given[key] = value
         options: dict[KeyPath, str] = {keys: name for keys, (name, _) in overrides.items()}
-        return cls(path=path, kind=kind, data=data, entries=tuple(_entries(root)), options=options)
+        return cls(
+            path=path,
+            kind=kind,
+            data=data,
+            entries=tuple(_entries(root)),
+            flaws=flaws,
+            options=options,
+        )
 
     def validate(
         self, model: type[Model], check: Callable[[Model], Iterable[Problem]] = lambda _: ()
@@ -82,7 +97,8 @@ class Document:
 
         check: finds what no single key can say; wrong keys are left out, if the others can do alone
         """
-        told = [self._tell(*problem) for problem in _all_problems(model, self.data, check)]
+        problems = self.flaws or _all_problems(model, self.data, check)
+        told = [self._tell(*problem) for problem in problems]
         told += [
             (line, f"{self.path}:{line}: {key_path[-1]}: given twice; remove one")
             for key_path, line, is_again in self.entries
@@ -188,6 +204,19 @@ def _entries(node: yaml.Node, above: KeyPath = ()) -> Iterator[Entry]:
         yield (*above, key), marked.start_mark.line + 1, key in seen
         seen.add(key)
         yield from _entries(value, (*above, key))
+
+
+def _flaws(node: yaml.Node | None, above: KeyPath = ()) -> Iterator[Problem]:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if flaw := scalar_flaw(key):
+                yield above, f"the key {key.value!a} {flaw}"
+            yield from _flaws(value, (*above, key.value))
+    elif isinstance(node, yaml.SequenceNode):
+        for index, item in enumerate(node.value):
+            yield from _flaws(item, (*above, index))
+    elif node is not None and (flaw := scalar_flaw(node)):
+        yield above, flaw
 
 
 def _explain(model: Any, error: dict[str, Any]) -> str:

@@ -38,6 +38,19 @@ def test_animals_is_the_papers_experiment():
     ("old", "new", "line", "words"),
     [
         (ALTITUDE, "altitude_m: 30", 6, ["flight.altitude_m", "too low", "11.5 degrees", "42.2 m"]),
+        (ALTITUDE, "altitude_m: 060", 6, ["flight.altitude_m", "`060`", "as 48; write 60 or 48"]),
+        (ALTITUDE, "altitude_m: 0x50", 6, ["flight.altitude_m", "read as 80; write 80"]),
+        (ALTITUDE, "altitude_m: 0b101101", 6, ["read as 45; write 45"]),
+        (ALTITUDE, "altitude_m: 1_00", 6, ["read as 100; write 100"]),
+        (ALTITUDE, "altitude_m: 1:30", 6, ["read as 90; write 90"]),
+        (ALTITUDE, "altitude_m: 1:30.5", 6, ["read as 90.5; write 90.5"]),
+        (ALTITUDE, "altitude_m: .inf", 6, ["flight.altitude_m", "finite"]),
+        (ALTITUDE, "start_au: [0.5, 01]", 6, ["flight.start_au[1]", "read as 1; write 1"]),
+        ("appearance: fox", "appearance: 0_1", 12, ["targets[2].appearance", "in quotes"]),
+        ("name: Rusty", 'name: "Fr\\e[31med"', 12, ["targets[2].name", "'\\x1b'"]),
+        ("name: Rusty", 'name: "\\ud83d\\udc04"', 12, ["targets[2].name", "'\\ud83d'"]),
+        ("name: Rusty", "name: Fr\x07ed", 12, ["not valid YAML", "'\\x07'"]),
+        ("altitude_m:", '"altitude\\n":', 5, ["flight", r"the key 'altitude\n' has the char"]),
         ("altitude_m:", "altitud:", 6, ["flight.altitud", "did you mean `altitude_m`"]),
         ("altitude_m:", "altitude_ft:", 6, ["flight.altitude_ft", "did you mean `altitude_m`"]),
         (ALTITUDE, "altitude_m: 45 m", 6, ["valid number", "'45 m'", "unit"]),
@@ -105,6 +118,13 @@ def test_yaml_cannot_make_objects(tmp_path: Path):
 )
 def test_hostile_yaml(tmp_path: Path, text: str, words: str):
     assert words in _error(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", ["2e2", "2E+2", "+2.e2", "200", "0200.0", ".2e3", "2000e-1"])
+def test_numbers_are_read_as_written(tmp_path: Path, text: str):
+    path = tmp_path / "m.yaml"
+    path.write_text(ANIMALS.replace("side_m: 200", f"side_m: {text}"))
+    assert load_mission(path).mission.area.side_m == 200.0
 
 
 def test_missing_files_and_names(tmp_path: Path):
