@@ -7,12 +7,14 @@ import contextlib
 import signal
 from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
+from dronemon.errors import VehicleError
 from dronemon.events import TruthTold
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
@@ -28,7 +30,7 @@ from dronemon.runner import (
 )
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, read_truth, simulator
-from dronemon.terminal import FlightDisplay, console
+from dronemon.terminal import FlightDisplay, console, print_error
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.vision.detector import Detector
@@ -75,7 +77,10 @@ def _interrupts() -> Interrupts:
     """A person's signals, and threads enough for MAVSDK's calls, which wait in them."""
     loop, interrupts = asyncio.get_running_loop(), Interrupts()
     loop.set_default_executor(ThreadPoolExecutor(_WORKER_THREADS))
-    for signal_number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    wanted = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+        wanted.append(signal.SIGHUP)
+    for signal_number in wanted:
         loop.add_signal_handler(signal_number, interrupts.request)
     return interrupts
 
@@ -99,7 +104,7 @@ async def _with_everything(
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
         link = await stack.enter_async_context(_link(mission, sim))
-        result = await fly_mission(
+        result = await _fly(
             FlightSetup(
                 file=file,
                 link=link,
@@ -110,12 +115,34 @@ async def _with_everything(
                 record=recorder,
                 watchers=(view, display),
                 interrupts=interrupts,
-            )
+            ),
+            sim,
         )
         truth = read_truth(folder.path)
         for time_s, targets_au in truth.items():
             view.take(TruthTold(time_s=time_s, targets_au=targets_au))
     return result, truth
+
+
+async def _fly(setup: FlightSetup, sim: Simulator | None) -> FlightResult:
+    """Fly. A simulator that ends meanwhile is told at once, and its vehicle not waited for."""
+    ends: list[VehicleError] = []
+
+    async def watch(sim: Simulator) -> None:
+        ends.append(await sim.ended())
+        print_error(str(ends[0]))
+        if sim.vehicle_url is not None:
+            setup.interrupts.give_up()
+
+    async with asyncio.TaskGroup() as group:
+        watching = group.create_task(watch(sim), name="simulator") if sim else None
+        result = await fly_mission(setup)
+        if watching:
+            watching.cancel()
+    if ends and result.last_seen is not None and sim is not None and sim.vehicle_url is not None:
+        gone = replace(result.last_seen, what_comes="it is gone with its simulator")
+        return replace(result, error=ends[0], last_seen=gone)
+    return result
 
 
 async def _start(

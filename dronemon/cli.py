@@ -21,9 +21,9 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.terminal import (
     console,
     facts_table,
+    forgive_outputs,
     print_error,
     print_warning,
-    write_in_any_encoding,
 )
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ _OVERRIDES = {
 
 def main() -> None:
     """Run the command line; a DronemonError becomes its message and its exit code."""
-    write_in_any_encoding()
+    forgive_outputs()
     try:
         app()
     except DronemonError as exc:

@@ -26,7 +26,7 @@ STOP_LIMIT_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simulator:
-    """A running simulator.
+    """A running simulator; `ended` waits until it ends, which it should not do by itself.
 
     vehicle_url: where its autopilot is heard, None if it follows another one; camera_url: its
     pictures; targets_au: (N, 2) where its animals start.
@@ -35,6 +35,13 @@ class Simulator:
     vehicle_url: str | None
     camera_url: str
     targets_au: FloatArray
+    process: asyncio.subprocess.Process
+    log: Path
+
+    async def ended(self) -> VehicleError:
+        """Wait for its end. -> its last words"""
+        await self.process.wait()
+        return VehicleError(f"the simulator ended: {_last_words(self.log)}; see {self.log}")
 
 
 @contextlib.asynccontextmanager
@@ -65,6 +72,8 @@ async def simulator(folder: Path, follow: str | None) -> AsyncIterator[Simulator
                 vehicle_url=None if follow else f"udpin://127.0.0.1:{port}",
                 camera_url=ready["camera"],
                 targets_au=np.array(ready["targets_au"], dtype=np.float64),
+                process=process,
+                log=log,
             )
         finally:
             await _stop(process)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import sys
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterable, Mapping
+from typing import Any
+from unicodedata import category
 
 from rich.console import Console
 from rich.live import Live
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -18,29 +19,70 @@ from dronemon.events import Event, Level, Noted, Progressed
 
 
 class LenientConsole(Console):
-    """Falls silent when its output is closed or full: what nobody reads ends nothing."""
+    """Shows what it can; what fails is counted in `dropped`, and ends nothing.
+
+    What others say (autopilots, missions) is shown without the characters that command a terminal.
+    """
+
+    dropped = 0
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does, if it can."""
+        try:
+            super().print(*objects, **options)
+        except Exception:  # noqa: BLE001 - no display is worth a flight
+            self.dropped += 1
 
     def _write_buffer(self) -> None:
         try:
             super()._write_buffer()
-        except OSError:
-            self.quiet = True
-            with contextlib.suppress(OSError), Path(os.devnull).open("wb") as nowhere:
-                os.dup2(nowhere.fileno(), self.file.fileno())  # what the stream still holds
+        except Exception:  # noqa: BLE001
+            self.dropped += 1
+            self._buffer.clear()
+
+    def _render_buffer(self, buffer: Iterable[Segment]) -> str:
+        shown = (Segment(harmless(s.text), s.style) if not s.control else s for s in buffer)
+        return super()._render_buffer(shown)
+
+
+def harmless(text: str) -> str:
+    """The text without control characters, marks of direction and halves of characters."""
+    return "".join(
+        "\N{REPLACEMENT CHARACTER}" if category(c) in _COMMANDING and c != "\n" else c for c in text
+    )
 
 
 console = LenientConsole()
 _errors = LenientConsole(stderr=True)
 _STYLES: dict[Level, str] = {"INFO": "cyan", "WARN": "yellow", "ERROR": "bold red"}
+_COMMANDING = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _PLAIN_STEP = 0.1
 _BAR_WIDTH = 24
 
 
-def write_in_any_encoding() -> None:
-    """What the output's encoding lacks is written as `?` rather than ending the program."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
+class _Forgiving(io.FileIO):
+    """An output that drops what a closed pipe or a full disk does not take."""
+
+    def write(self, data: Any) -> int:
+        with contextlib.suppress(OSError):
+            if (written := super().write(data)) is not None:
+                return written
+        return len(data)
+
+
+def forgive_outputs() -> None:
+    """From now on no output ends the program; what its encoding lacks is written as `?`."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if type(stream) is io.TextIOWrapper:
+            raw = _Forgiving(stream.fileno(), "w", closefd=False)
+            forgiving = io.TextIOWrapper(
+                io.BufferedWriter(raw),
+                encoding=stream.encoding,
+                errors="replace",
+                line_buffering=stream.line_buffering,
+            )
+            setattr(sys, name, forgiving)
 
 
 class FlightDisplay:
@@ -68,7 +110,8 @@ class FlightDisplay:
             case Noted():
                 console = _errors if event.level == "ERROR" else self._console
                 kind = (f"{event.kind}: ", _STYLES[event.level])
-                console.print(Text.assemble(kind, event.text), soft_wrap=True)
+                text = " ".join(event.text.splitlines())
+                console.print(Text.assemble(kind, text), soft_wrap=True)
 
     def _show(self, status: Progressed) -> None:
         if self._console.is_terminal:

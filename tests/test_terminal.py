@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import io
+import os
+import subprocess
+import sys
+from typing import NoReturn
+from unicodedata import category
 
+import pytest
 from rich.console import Console
 
 from dronemon.events import Moved, Noted, Progressed
-from dronemon.terminal import FlightDisplay, LenientConsole
+from dronemon.terminal import FlightDisplay, LenientConsole, facts_table
 from dronemon.types import Pose
 
 
@@ -47,3 +53,50 @@ def test_a_full_disk_or_a_closed_pipe_ends_no_display():
         with FlightDisplay(console) as display:
             display.take(Progressed(phase="patrol", flown_au=1.0, horizon_au=2.0, since_seen_s={}))
             display.take(Noted(time_s=1.0, kind="a", text="b", level="INFO", fields={}))
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_what_others_say_commands_no_terminal(is_terminal: bool):
+    console = LenientConsole(file=io.StringIO(), force_terminal=is_terminal, color_system=None)
+    evil = "a\x1b[2J\x1b]0;b\x07c\x9b31m\u202ed\ud83de\nf"
+    with FlightDisplay(console) as display:
+        display.take(Noted(time_s=1.0, kind="autopilot", text=evil, level="INFO", fields={}))
+        seen = {evil: None}
+        display.take(Progressed(phase="patrol", flown_au=1.0, horizon_au=2.0, since_seen_s=seen))
+    console.print(facts_table(evil, {evil: evil}))
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    own = {"\x1b[?25l", "\x1b[?25h", "\x1b[2K", "\x1b[1A", "\r"} if is_terminal else set()
+    for command in own:
+        shown = shown.replace(command, "")
+    assert {c for c in shown if category(c) in {"Cc", "Cf", "Cs"}} <= {"\n"}
+    assert "autopilot: a\ufffd[2J\ufffd]0;bc\ufffd31m\ufffdd\ufffde f\n" in shown
+    assert console.dropped == 0
+
+
+def test_what_cannot_be_drawn_is_counted():
+    class Broken:
+        def __rich_console__(self, console: Console, options: object) -> NoReturn:
+            raise ValueError("no")
+
+    console = LenientConsole(file=io.StringIO())
+    console.print(Broken())
+    console.print("on")
+    assert console.dropped == 1
+    assert console.file.getvalue() == "on\n"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("options", [["--help"], ["--version"], ["planners"]])
+@pytest.mark.parametrize("output", ["/dev/full", "pipe", "closed"])
+def test_an_output_that_takes_nothing_ends_no_command(options: list[str], output: str):
+    environment = os.environ | {"PYTHONIOENCODING": "latin-1", "LC_ALL": "C", "PYTHONUTF8": "0"}
+    command = [sys.executable, "-m", "dronemon.cli", *options]
+    if output == "closed":
+        command = ["sh", "-c", '"$@" >&- 2>&-', "sh", *command]
+    reading, writing = os.pipe()
+    os.close(reading)
+    target = os.open(output, os.O_WRONLY) if output == "/dev/full" else writing
+    try:
+        done = subprocess.run(command, stdout=target, stderr=target, env=environment, timeout=60)
+    finally:
+        os.close(writing)
+    assert done.returncode == 0

@@ -16,6 +16,7 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.count = 0
+        self.is_hopeless = False
         self._on_request: Callable[[], None] | None = None
 
     def request(self) -> None:
@@ -23,6 +24,10 @@ class Interrupts:
         self.count += 1
         if self._on_request is not None:
             self._on_request()
+
+    def give_up(self) -> None:
+        """Say that a vehicle that falls silent will never be heard again."""
+        self.is_hopeless = True
 
     @contextlib.asynccontextmanager
     async def leaving(self, after: int = 0) -> AsyncIterator[None]:

@@ -248,7 +248,8 @@ class Supervisor:
             is_position_back=state.is_position_good and self._was_position_lost,
             is_down_under_way=self._down_by_s is not None,
             times_interrupted=self._interrupts.count,
-            is_lost_for_long=asyncio.get_running_loop().time() > self._heard_at + LOST_LINK_LIMIT_S,
+            is_lost_for_long=self._interrupts.is_hopeless
+            or asyncio.get_running_loop().time() > self._heard_at + LOST_LINK_LIMIT_S,
             **patrol,
         )
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,10 @@ ROOT = Path(__file__).parents[2]
 class Flight:
     """`dronemon fly` as a child process."""
 
-    def __init__(self, out: Path, *options: str) -> None:
+    def __init__(self, out: Path, *options: str, before: Sequence[str] = ()) -> None:
         self.out = out
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "dronemon.cli", "fly", "--out", str(out), *options],
+            [*before, sys.executable, "-m", "dronemon.cli", "fly", "--out", str(out), *options],
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -55,8 +56,9 @@ class Flight:
 def fly(tmp_path: Path):
     flights: list[Flight] = []
 
-    def start(*options: str) -> Flight:
-        flights.append(Flight(tmp_path / f"run{len(flights)}", "--speed-up", "20", *options))
+    def start(*options: str, before: Sequence[str] = ()) -> Flight:
+        out = tmp_path / f"run{len(flights)}"
+        flights.append(Flight(out, "--speed-up", "20", *options, before=before))
         return flights[-1]
 
     yield start
@@ -168,6 +170,32 @@ def test_a_closed_terminal_does_not_keep_the_drone_in_the_air(fly: Callable[...,
     flight.process.wait(timeout=100)
     assert [e["kind"] for e in flight.lines("events")][-2:] == ["disarmed", "outcome"]
     assert flight.summary()["is_landed"]
+
+
+@pytest.mark.slow
+def test_a_simulator_that_ends_is_told_at_once(fly: Callable[..., Flight]):
+    flight = fly("--planner", "tsp")
+    flight.wait_for_event("patrol")
+    _, *others = _family(flight.process.pid)
+    killed_at = time.monotonic()
+    for pid in others:
+        if b"sim" in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0"):
+            os.kill(pid, signal.SIGKILL)
+    code, output = flight.finish()
+    assert time.monotonic() < killed_at + 25.0
+    assert code == 3
+    assert "error: the simulator ended: " in output
+    assert "the simulator ended" in flight.summary()["error"]
+    assert "it is gone with its simulator" in output.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_nohup_is_heeded(fly: Callable[..., Flight]):
+    flight = fly("--horizon-au", "0.5", "--planner", "tsp", before=["nohup"])
+    flight.wait_for_event("patrol")
+    flight.process.send_signal(signal.SIGHUP)
+    flight.finish()
+    assert flight.summary()["outcome"] == "completed"
 
 
 @pytest.mark.slow
