@@ -19,7 +19,10 @@ def compiled_folder(package: Path) -> Path:
         for file in sorted(package.glob(pattern)):
             state.update(file.read_bytes())
     name = f"compiled-{state.hexdigest()[:16]}"
-    for root in (package / "__pycache__", Path.home() / ".cache" / "dronemon"):
+    roots = [package / "__pycache__"]
+    with contextlib.suppress(RuntimeError):  # a user without a home
+        roots.append(Path.home() / ".cache" / "dronemon")
+    for root in roots:
         with contextlib.suppress(OSError):  # an installation may be read-only
             (root / name).mkdir(parents=True, exist_ok=True)
             if os.access(root / name, os.W_OK):

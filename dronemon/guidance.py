@@ -75,12 +75,13 @@ class Carrot:
         speed_m_s: float,
         max_speed_m_s: float,
         max_acceleration_m_s2: float,
+        ground_speed_m_s: float = 0.0,
     ) -> None:
         self._cruise_m_s = speed_m_s
         self._max_m_s = max_speed_m_s
         self.window_m = speed_m_s * min(0.5 * speed_m_s / max_acceleration_m_s2, _WINDOW_MAX_S)
         self._acceleration_m_s2 = 0.5 * speed_m_s**2 / self.window_m
-        self._speed_m_s = 0.0  # over ground, were the vehicle on the path
+        self._speed_m_s = min(ground_speed_m_s, speed_m_s)  # of a vehicle on the path
         self._legs: deque[_Leg] = deque()
         self.end_m = start_m
         """Last waypoint of the path."""
@@ -89,7 +90,7 @@ class Carrot:
     @property
     def remaining_m(self) -> float:
         """Path left from the carrot to the last waypoint."""
-        return (self._legs[-1].end_m if self._legs else 0.0) - self._s_m
+        return max(self._legs[-1].end_m - self._s_m, 0.0) if self._legs else 0.0
 
     @property
     def needs_waypoint(self) -> bool:

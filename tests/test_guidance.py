@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronemon.guidance import POSITION_GAIN_PER_S, Carrot, Drag
@@ -51,6 +51,7 @@ def test_asks_for_the_next_leg_before_the_end():
     assert carrot.remaining_m == pytest.approx(carrot.window_m, abs=SPEED * STEP_S)
 
 
+@settings(deadline=None, max_examples=50)
 @given(st.floats(-180, 180))
 def test_corner_is_round_and_bounded_in_acceleration(turn_deg: float):
     carrot = _carrot()
@@ -79,6 +80,20 @@ def test_waits_for_a_vehicle_that_stays_behind():
     assert velocity[0] + POSITION_GAIN_PER_S * position[0] == pytest.approx(1.1 * SPEED)
 
 
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.floats(0.001, 30.0), min_size=1, max_size=5), st.floats(0.01, 0.2))
+def test_stays_at_the_end_of_any_path(legs_m: list[float], step_s: float):
+    carrot = _carrot()
+    for index, leg_m in enumerate(legs_m):
+        north, east = carrot.end_m
+        carrot.extend((north + leg_m, east) if index % 2 else (north, east + leg_m))
+    position = (0.0, 0.0)
+    for _ in range(int((sum(legs_m) / SPEED + 4.0 * len(legs_m)) / step_s)):
+        position, _, _ = carrot.advance(step_s, position)
+    assert position == pytest.approx(carrot.end_m, abs=0.05)
+    assert carrot.remaining_m >= 0.0
+
+
 def test_stops_at_the_last_waypoint():
     carrot = _carrot()
     carrot.extend((20.0, 0.0))
@@ -93,6 +108,7 @@ def test_stops_at_the_last_waypoint():
     assert velocity == pytest.approx((0.0, 0.0), abs=0.1)
 
 
+@settings(deadline=None, max_examples=50)
 @given(
     st.tuples(st.floats(-20, 60), st.floats(-20, 20)),
     st.floats(1.0, 2.0),
@@ -131,6 +147,7 @@ def test_cross_track_is_the_distance_to_the_legs():
     assert carrot.cross_track_m((-3.0, -4.0)) == pytest.approx(5.0)
 
 
+@settings(deadline=None, max_examples=50)
 @given(st.floats(0.0, 1.0), st.floats(-3.0, 3.0), st.floats(-math.pi, math.pi))
 def test_drag_is_told_from_wind(drag_per_s: float, wind_m_s: float, yaw_rad: float):
     drag = Drag()

@@ -80,3 +80,14 @@ def test_compiled_code_of_a_read_only_installation_goes_elsewhere(
     assert compiled_folder(package).is_relative_to(tmp_path / "home")
     monkeypatch.setenv("HOME", str(package / "__pycache__"))
     assert compiled_folder(package).is_dir()
+
+
+def test_a_user_without_a_home_has_a_place_for_compiled_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def nobody() -> Path:
+        raise RuntimeError("could not determine home directory")
+
+    monkeypatch.setattr(Path, "home", nobody)
+    (tmp_path / "__pycache__").write_text("not a folder\n")
+    assert compiled_folder(tmp_path).is_dir()
