@@ -32,7 +32,7 @@ class MotionSettings:
 class SearchSettings:
     """How the search looks ahead and what it values.
 
-    Compared by `benchmarks/tune_search.py` on development seeds; ablations are in DESIGN.md.
+    Compared by `benchmarks/tune_search.py` on development seeds; ablations: docs/experiments.md.
     """
 
     num_steps: int = 26

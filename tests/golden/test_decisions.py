@@ -1,4 +1,4 @@
-"""Planners choose what they chose before, to the last digits."""
+"""Planners choose what they chose before, but for the last digits (1e-9 au)."""
 
 from __future__ import annotations
 

@@ -29,6 +29,7 @@ def make_ppo(config: PpoConfig = CONFIG) -> Ppo:
     return Ppo(network, config, Peers(device=torch.device("cpu")), 0)
 
 
+@pytest.mark.slow
 def test_what_pays_becomes_likelier() -> None:
     ppo = make_ppo()
     shares = []

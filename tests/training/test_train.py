@@ -91,6 +91,7 @@ def first_iteration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", ["ppo", "expert"])
 def test_a_resumed_run_equals_one_that_was_never_interrupted(learner: str, tmp_path: Path) -> None:
     recipe = RECIPES[learner]

@@ -440,6 +440,7 @@ def test_the_live_page_is_served_on_loopback_only_and_carries_the_recording(
     assert verify(tmp_path / "flight.rrd").returncode == 0
 
 
+@pytest.mark.slow
 def test_a_killed_flight_leaves_a_recording_that_rerun_reads_and_no_page(tmp_path: Path) -> None:
     port = free_port()
     child = start_flight(tmp_path / "flight.rrd", str(port))
