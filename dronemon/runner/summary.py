@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
@@ -99,8 +100,9 @@ def summarise(
 
 
 def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
-    progress = np.array(tally.progress)  # (T, 2) s, m
-    pictured_m = np.interp(tally.times_s, *progress.T) if len(progress) else np.empty(0)
+    pictured_m = np.empty(0)
+    if tally.progress_s:
+        pictured_m = np.interp(tally.times_s, tally.progress_s, tally.progress_m)
     spacing_m = np.diff(pictured_m, prepend=0.0)
     due_m = MEASUREMENT_INTERVAL_AU * side_m
     return Flown(
@@ -147,7 +149,7 @@ def _score(tally: Tally, truth: Mapping[float, FloatArray], kernel: Matern32) ->
     )
 
 
-def _percentile(values: FloatArray | list[float], percent: float) -> float | None:
+def _percentile(values: FloatArray | array[float], percent: float) -> float | None:
     return float(np.percentile(values, percent)) if len(values) else None
 
 
