@@ -26,16 +26,16 @@ POSITION_GAIN_PER_S = 0.95
 """PX4's MPC_XY_P as it comes."""
 _WINDOW_MAX_S = 2.0
 """A window in seconds of cruise: a fast drone turns harder than `a` to keep to its legs."""
-_SHORTEST_TANGENT = 0.8
+_SHORTEST_TANGENT = 0.75
 """Corners are flown at cruise speed where the tangent is longer, slower where it is shorter."""
-_LEAD_FREE = 0.4
+_LEAD_FREE = 0.6
 """The carrot keeps its speed below this share of the lead at which it waits."""
 _ASIDE_S = 0.5
 """Being off the path counts as a lead from here on, in seconds of cruise."""
 _PREVIEW_S = 0.1
 """Acceleration is the change of velocity over this time."""
 _GRAVITY_M_S2 = 9.80665
-_SPREAD_M2_S2 = 4.0
+_SPREAD_M2_S2 = 2.0
 """Variance of the velocity above which it tells more about the drag than what we assume: none."""
 _DRAG_MAX_PER_S = 1.0
 

@@ -68,7 +68,7 @@ def test_corner_is_round_and_bounded_in_acceleration(turn_deg: float):
     changes = [math.dist(a, b) / 0.05 for a, b in itertools.pairwise(velocities)]
     if abs(turn_deg) <= 60.0:
         assert max(changes) <= 1.35 * ACCELERATION
-    assert max(*changes, *accelerations) <= 3.2 * ACCELERATION
+    assert max(*changes, *accelerations) <= 3.6 * ACCELERATION
 
 
 def test_waits_for_a_vehicle_that_stays_behind():
