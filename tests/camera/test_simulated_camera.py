@@ -53,7 +53,7 @@ def test_picture_carries_the_capture_time():
         (answer(JPEG, word=b"HTTP"), "another program"),
         (answer(JPEG, num_bytes=2**31), "at most"),
         (answer(b"", num_bytes=0), "at most"),
-        (answer(b"no jpeg at all"), "no JPEG"),
+        (answer(b"no jpeg at all"), "no whole JPEG"),
     ],
 )
 def test_bad_answer_is_an_error_and_the_next_capture_recovers(bad, message):
