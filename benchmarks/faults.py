@@ -10,8 +10,9 @@ each flight:
 - last line: whether it is true
 
 A real PX4 is flown beside the mock where DRONEMON_PX4 is a command line that runs what follows it
-beside a fresh PX4 which streams to 127.0.0.1:14540 and :14550; cases of the simulated autopilot
-itself do not apply there.
+beside a fresh PX4 which streams to 127.0.0.1:14540 and :14550, DRONEMON_PX4_SPEED times real time;
+it must become that command (exec), which gets the signals. Faults of the simulated autopilot do not
+apply there.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from typing import Any
 
 from dronemon.errors import DronemonError
 from dronemon.recorder import RunFolder
+from dronemon.runner.flight import DOWN, NOT_STARTED
 from dronemon.runner.last_seen import FIRST_WORDS
 
 MISSION = """
@@ -44,12 +46,13 @@ targets:
   - {{name: Bella, appearance: cow, prior_au: simulated}}
   - {{name: Zuri, appearance: zebra, prior_au: simulated}}
 planner: {{kind: "{planner}"}}
-vehicle: {{url: "{vehicle}", speed_up: 10, link_loss_timeout_s: 3}}
+vehicle: {{url: "{vehicle}", speed_up: {speed_up}, link_loss_timeout_s: 3}}
 simulation: {{seed: {seed}, faults: [{faults}]}}
 view: {{live: false}}
 """
 MOMENTS = ("take-off", "patrol", "return")
 FLIGHT_LIMIT_S = 300.0
+SPEED_UP = 10.0
 _FULL_DISK_BYTES = 2_500
 
 
@@ -197,6 +200,7 @@ def fly(case: Case, vehicle: str, seed: int, moment_s: float) -> Result:
                 seed=seed,
                 faults=faults,
                 vehicle="udpin://127.0.0.1:14540" if is_px4 else "mock",
+                speed_up=SPEED_UP,
             )
         )
         command = [sys.executable, "-m", "dronemon.cli", "fly", str(folder / "mission.yaml")]
@@ -213,7 +217,8 @@ def fly(case: Case, vehicle: str, seed: int, moment_s: float) -> Result:
             preexec_fn=_limit_files if case.is_disk_full else None,
         )
         if case.act is not None:
-            _wait_until(out, moment_s, child)
+            speed_up = float(os.environ.get("DRONEMON_PX4_SPEED", "1")) if is_px4 else SPEED_UP
+            _wait_until(out, moment_s / speed_up, child)
             case.act(child)
         try:
             said, _ = child.communicate(timeout=FLIGHT_LIMIT_S)
@@ -230,12 +235,12 @@ def _limit_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (_FULL_DISK_BYTES, _FULL_DISK_BYTES))
 
 
-def _wait_until(out: Path, moment_s: float, child: Child) -> None:
-    """Wait until a moment after arming: events tell the vehicle's time, ten times the clock's."""
+def _wait_until(out: Path, wall_s: float, child: Child) -> None:
+    """Wait until some time after arming by the clock."""
     events = out / "events.jsonl"
     while child.poll() is None:
         if events.exists() and any('"armed"' in line for line in events.read_text().splitlines()):
-            time.sleep(moment_s / 10.0)
+            time.sleep(wall_s)
             return
         time.sleep(0.02)
 
@@ -247,8 +252,8 @@ def _judge(case: Case, out: Path, said: list[str], status: int) -> Result:
     try:
         run = RunFolder.open(out)
         summary, events = run.summary(), list(run.events())
-        num_seen, num_decided = len(list(run.observations())), len(list(run.decisions()))
-        result |= {"outcome": summary["outcome"], "decisions": num_decided}
+        num_seen, _ = len(list(run.observations())), list(run.decisions())
+        result["outcome"] = summary["outcome"]
         result["folder"] = "whole" if not run.damaged_files() else "damaged"
     except (DronemonError, OSError, LookupError) as exc:
         return result | {"folder": f"unreadable: {exc!r}", "end": "UNCONTROLLED", "is_true": False}
@@ -256,19 +261,17 @@ def _judge(case: Case, out: Path, said: list[str], status: int) -> Result:
     num_taken = len(truth_file.read_text().splitlines()) if truth_file.exists() else 0
     if not case.spoils_pictures:
         result["lost"] = max(num_taken - 1 - num_seen, 0)  # the first is taken on the ground
-    is_left = FIRST_WORDS in " ".join(said[-6:])
-    is_landed = summary.get("is_landed", False)
+    is_left, is_landed = FIRST_WORDS in last, summary.get("is_landed", False)
+    was_armed = "armed" in {event["kind"] for event in events}
     if status == -signal.SIGKILL and "killed" in case.ends:
-        end = "killed"
-    elif "armed" in {event["kind"] for event in events}:
-        end = "landed" if is_landed else "left" if is_left else "UNCONTROLLED"
-    else:
-        end = "not flown" if is_landed else "left" if is_left else "UNCONTROLLED"
-    if end == "left" and summary["outcome"] == "pilot":
-        end = "pilot"
-    result["is_true"] = end != "UNCONTROLLED" and not (is_landed and truth == "armed")
-    if not result["is_true"]:
-        end = "UNCONTROLLED"
+        return result | {"end": "killed", "is_true": True}
+    result["end"] = "UNCONTROLLED"
+    if is_left:
+        result["end"] = "pilot" if summary["outcome"] == "pilot" else "left"
+    elif is_landed and truth != "armed":
+        result["end"] = "landed" if was_armed else "not flown"
+    expected = FIRST_WORDS if not is_landed else DOWN if was_armed else NOT_STARTED
+    result["is_true"] = expected in last and not (DOWN in last and truth == "armed")
     times = {event["kind"]: event["time_s"] for event in events}
     if {"armed", "patrol", "homecoming"} <= times.keys():
         armed_s = times["armed"]
@@ -277,7 +280,7 @@ def _judge(case: Case, out: Path, said: list[str], status: int) -> Result:
             "patrol": times["patrol"] - armed_s + 5.0,
             "return": times["homecoming"] - armed_s + 2.0,
         }
-    return result | {"end": end}
+    return result
 
 
 def _truth(out: Path) -> str:
@@ -291,7 +294,8 @@ def _truth(out: Path) -> str:
 def is_bad(result: Result) -> bool:
     """Whether a flight is against what is promised."""
     allowed = ("landed", "not flown", *CASES[result["case"]].ends)
-    return result["end"] not in allowed or result["folder"] != "whole" or result["lost"] > 1
+    is_whole = result["folder"] == "whole" and result["lost"] <= 1
+    return result["end"] not in allowed or not is_whole or not result["is_true"]
 
 
 def table(results: list[Result]) -> str:

@@ -20,7 +20,7 @@ class State(StrEnum):
     PATROLLING = "patrolling"
     RETURNING = "returning"
     LANDING = "landing here"
-    FAILSAFE = "failsafe lands"
+    FAILSAFE = "failsafe flies"
     PILOT = "the pilot flies"
     ENDED = "ended"
 

@@ -25,6 +25,8 @@ from dronemon.runner.tally import Tally
 from dronemon.types import Picture, Vector3
 from dronemon.vehicle import Mode
 
+NOT_STARTED = "nothing has flown: the motors were not started"
+DOWN = "the drone is down, and its motors are off"
 _GROUND_POSES = 20
 _CAMERA_TRIES = 3
 _RESET_LIMIT_S = 30.0
@@ -58,8 +60,8 @@ class FlightResult:
         if self.last_seen is not None:
             return self.last_seen.words
         if not self.has_flown:
-            return "nothing has flown: the motors were not started"
-        return "the drone is down, and its motors are off"
+            return NOT_STARTED
+        return DOWN
 
 
 async def fly_mission(setup: FlightSetup) -> FlightResult:
@@ -207,6 +209,7 @@ class _Flight:
         self._progress("arming")
         await self._link.arm()  # not interruptible: it could arm after nobody waits any more
         self._home_ned_m = self._link.pose.position_ned_m
+        self._supervisor.hear_armed()
         self._events.note("armed", "motors are running")
         async with self._setup.interrupts.leaving():
             self._progress("taking off")

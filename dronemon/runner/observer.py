@@ -25,6 +25,7 @@ BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while no picture says anything, ..."""
 _BLIND_PICTURES = 3
 """... and number of pictures that must have failed by then."""
+_MAX_PENDING = 8
 _LOOK_LIMIT_S = 3.0
 """Wall time for the detector."""
 
@@ -72,12 +73,14 @@ class Observer:
         """A picture is due now."""
         self._due.set()
 
-    def resume(self, work: asyncio.Queue[Shot | None]) -> None:
-        """Forget how long nothing was seen, but not what was taken."""
+    def resume(self) -> asyncio.Queue[Shot | None]:
+        """Forget how long nothing was seen, but not what was taken. -> what is to be done"""
         self._blind_since_s, self._is_taking = None, False
         self._due.clear()
+        work: asyncio.Queue[Shot | None] = asyncio.Queue(_MAX_PENDING + len(self._unseen))
         for shot in self._unseen:
             work.put_nowait(shot)
+        return work
 
     async def photograph(self, work: asyncio.Queue[Shot | None]) -> None:
         """Take every picture that is asked for, and hand it on."""

@@ -24,7 +24,7 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.observer import Observer, Shot
+from dronemon.runner.observer import Observer
 from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
 from dronemon.runner.tally import Tally
@@ -34,7 +34,6 @@ from dronemon.vehicle import Setpoint
 SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
 _STILL: Point = (0.0, 0.0)
-_MAX_PENDING = 4
 _SLOW_PLANNER_S = 1.0
 _OFF_HEIGHT_S = 3.0
 """Vehicle time for which the drone may be far from its height."""
@@ -86,8 +85,7 @@ class Patrol:
         self._at_height_s = pose.time_s
         self._last_pose, self._waiting_since = None, None
         self._is_waypoint_asked = False
-        self._work: asyncio.Queue[Shot | None] = asyncio.Queue(2 * _MAX_PENDING)
-        self._observer.resume(self._work)
+        self._work = self._observer.resume()
         await self._link.start_offboard(self._setpoint(pose.position_ned_m[:2]))
         try:
             async with asyncio.TaskGroup() as group:

@@ -212,6 +212,11 @@ class Supervisor:
         self.state, self._setback = advice.state, Setback.NONE
         return advice
 
+    def hear_armed(self) -> None:
+        """We armed it: from now on it is ours."""
+        if not self.was_armed:
+            self.was_armed, self._armed_s = True, self._link.time_s
+
     def _situation(self, patrol: PatrolFacts) -> Situation:
         state, number = self._link.state, self._link.num_heartbeats
         with contextlib.suppress(VehicleError):  # not heard yet
@@ -219,8 +224,8 @@ class Supervisor:
         now_s = self._time_s
         if state.is_armed:
             self._sure_at = number + 2
-            if self.state is not State.PREPARING and not self.was_armed:
-                self.was_armed, self._armed_s = True, now_s
+            if self.state is not State.PREPARING:
+                self.hear_armed()
         if state.landed is not Landed.ON_GROUND:
             self._off_ground_s = now_s
         self._was_position_lost |= not state.is_position_good

@@ -23,6 +23,7 @@ from dronemon import guard
 from dronemon.errors import (
     CameraError,
     CommandRejected,
+    CommandUnconfirmed,
     ControlTaken,
     LinkLost,
     PlannerError,
@@ -273,6 +274,14 @@ def test_a_refused_take_off_disarms(flight):
     assert flight.commands[-1] == "disarm"
     assert Reason.ON_GROUND in flight.reasons
     _comes_home(flight, result)
+
+
+def test_motors_that_stop_in_the_climb_were_started(flight):
+    flight.when("armed", lambda: flight.later(1.0, lambda: flight.link._set_armed(False)))
+    result = flight.fly()
+    assert isinstance(result.error, CommandUnconfirmed)
+    assert result.last_word == "the drone is down, and its motors are off"
+    assert flight.record.kinds[-2:] == ["disarmed", "outcome"]
 
 
 def test_a_vehicle_that_arms_unheard_is_looked_at_again(flight):
