@@ -24,8 +24,6 @@ from dronemon.types import Pose
 Point = tuple[float, float]
 POSITION_GAIN_PER_S = 0.95
 """PX4's MPC_XY_P as it comes."""
-_WINDOW_MAX_S = 2.0
-"""A window in seconds of cruise: a fast drone turns harder than `a` to keep to its legs."""
 _SHORTEST_TANGENT = 0.75
 """Corners are flown at cruise speed where the tangent is longer, slower where it is shorter."""
 _LEAD_FREE = 0.6
@@ -79,8 +77,8 @@ class Carrot:
     ) -> None:
         self._cruise_m_s = speed_m_s
         self._max_m_s = max_speed_m_s
-        self.window_m = speed_m_s * min(0.5 * speed_m_s / max_acceleration_m_s2, _WINDOW_MAX_S)
-        self._acceleration_m_s2 = 0.5 * speed_m_s**2 / self.window_m
+        self.window_m = 0.5 * speed_m_s**2 / max_acceleration_m_s2
+        self._acceleration_m_s2 = max_acceleration_m_s2
         self._speed_m_s = min(ground_speed_m_s, speed_m_s)  # of a vehicle on the path
         self._legs: deque[_Leg] = deque()
         self.end_m = start_m

@@ -18,6 +18,7 @@ from dronemon.types import APPEARANCES, Appearance, CameraModel
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
+_TURN_S = 4.0
 _GRAVITY_M_S2 = 9.81
 
 
@@ -65,7 +66,7 @@ class Flight(Section):
     max_speed_m_s: float | None = Field(None, ge=0.5, le=50.0)
     """Bound of the ground speed that guidance asks for; cruise and 10 % if absent."""
     max_acceleration_m_s2: float = Field(2.0, ge=0.5, le=10.0)
-    """Acceleration asked for in a turn of 60 degrees; above a cruise speed of 4 s of it, more."""
+    """Acceleration asked for in a turn of 60 degrees; at least cruise speed by 4 s."""
     horizon_au: float | None = Field(None, gt=0.0, le=1000.0)
     """Patrol length in sides of the area; 30 if horizon_min is absent too."""
     horizon_min: float | None = Field(None, gt=0.0, le=600.0)
@@ -89,9 +90,14 @@ class Flight(Section):
         return self.max_speed_m_s or 1.1 * self.cruise_speed_m_s
 
     @property
+    def turn_acceleration_m_s2(self) -> float:
+        """What guidance asks for in turns: a fast drone would else leave its legs by too much."""
+        return max(self.max_acceleration_m_s2, self.cruise_speed_m_s / _TURN_S)
+
+    @property
     def bank_rad(self) -> float:
-        """How far the drone banks for the acceleration that guidance asks for."""
-        return math.atan(self.max_acceleration_m_s2 / _GRAVITY_M_S2)
+        """How far the drone banks for that."""
+        return math.atan(self.turn_acceleration_m_s2 / _GRAVITY_M_S2)
 
 
 class Vehicle(Section):

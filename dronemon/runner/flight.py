@@ -107,6 +107,7 @@ class _Flight:
                     await supervisor.come_home()
                     await self._leave_in_hold()
                     listening.cancel()
+            self._tell_losses()
             self._events.note("outcome", supervisor.outcome)
         return FlightResult(
             outcome=supervisor.outcome,
@@ -255,6 +256,15 @@ class _Flight:
                 since_seen_s={target.name: None for target in self._mission.targets},
             )
         )
+
+    def _tell_losses(self) -> None:
+        """Tell what was left out on the way, if anything."""
+        for number, what in (
+            (self._link.state.num_unreadable, "messages of the vehicle could not be read"),
+            (self._events.dropped, "events could not be shown"),
+        ):
+            if number:
+                self._events.note("left out", f"{number} {what}", level="WARN")
 
     async def _tell_texts(self) -> None:
         """Tell what the autopilot says when it says it."""

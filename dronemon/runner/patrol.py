@@ -110,7 +110,7 @@ class Patrol:
             pose.position_ned_m[:2],
             speed_m_s=flight.cruise_speed_m_s,
             max_speed_m_s=flight.speed_limit_m_s,
-            max_acceleration_m_s2=flight.max_acceleration_m_s2,
+            max_acceleration_m_s2=flight.turn_acceleration_m_s2,
             ground_speed_m_s=pose.ground_speed_m_s,
         )
         self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))

@@ -92,7 +92,7 @@ def set_out(speed_m_s: float, wind_m_s: float) -> tuple[Autopilot, Carrot]:
         (north_m, east_m),
         speed_m_s=speed_m_s,
         max_speed_m_s=1.1 * speed_m_s,
-        max_acceleration_m_s2=2.0,
+        max_acceleration_m_s2=max(2.0, speed_m_s / 4.0),
     )
     return vehicle, carrot
 
