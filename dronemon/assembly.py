@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
-from dronemon.errors import VehicleError
+from dronemon.errors import DronemonError, VehicleError
 from dronemon.events import TruthTold
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
@@ -62,14 +62,28 @@ async def assemble_and_fly(
             else:
                 recorder.finish("failed", {"error": str(exc) or repr(exc)})
             raise
-        summary = summarise(
-            result,
-            truth=truth,
-            side_m=mission.area.side_m,
-            target_names=tuple(target.name for target in mission.targets),
-            kernel=mission_kernel(mission),
-        )
-        recorder.finish(result.outcome, summary.as_json())
+        try:
+            summary = summarise(
+                result,
+                truth=truth,
+                side_m=mission.area.side_m,
+                target_names=tuple(target.name for target in mission.targets),
+                kernel=mission_kernel(mission),
+            )
+            recorder.finish(result.outcome, summary.as_json())
+        except Exception as exc:  # noqa: BLE001 - the last word on the drone comes first
+            error = exc if isinstance(exc, DronemonError) else DronemonError(repr(exc))
+            print_error(f"after the flight: {error}")
+            result = replace(result, error=result.error or error)
+            summary = Summary(
+                outcome=result.outcome,
+                is_landed=result.is_landed,
+                last_seen=result.last_seen,
+                landing_error_m=result.landing_error_m,
+                error=str(error),
+                flown=None,
+                score=None,
+            )
     return result, summary
 
 

@@ -90,6 +90,7 @@ class Reason(StrEnum):
     FAILSAFE_FLIES = "a failsafe flies home or lands"
     FAILSAFE_HOLDS = "a failsafe holds, as it does before it acts"
     FAILSAFE_STAYS = "a failsafe has held for long, and the position is good: home"
+    FAILSAFE_STICKS = "a failsafe left it to the pilot's sticks"
     FAILSAFE_HOVERS = "a failsafe without a position can only hover: only down is left"
     FAILSAFE_OVER = "the failsafe is over, and the mode is none that we asked for"
     LAND_NOW = "a person wants it to land here"
@@ -209,6 +210,8 @@ TABLE = (
 
     # The mission, until something ends it.
     Row(_LAUNCHING + _PATROLLING, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
+    Row(_LAUNCHING + _PATROLLING, _has(Setback.LINK_LOST),
+        State.RETURNING, Action.LISTEN, Reason.LOST),
     Row(_LAUNCHING + _PATROLLING, lambda s: s.setback is not Setback.NONE,
         State.RETURNING, Action.LEAVE, Reason.FAILED),
     Row(_PATROLLING, lambda s: not s.is_armed and s.is_sure,
@@ -244,12 +247,13 @@ TABLE = (
     Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_coming_down,
         State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_FLIES),
     Row(_FAILSAFE, lambda s: not s.is_failsafe, State.PILOT, Action.OFFER, Reason.FAILSAFE_OVER),
-    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_holding and s.is_position_good
-        and not s.is_failsafe_long, State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_HOLDS),
-    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_holding and s.is_position_good,
-        State.RETURNING, Action.LEAVE, Reason.FAILSAFE_STAYS),
-    Row(HOMEWARD, lambda s: _is_failsafe_in(s),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and not s.is_position_good,
         State.LANDING, Action.LEAVE, Reason.FAILSAFE_HOVERS),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and not s.is_failsafe_long,
+        State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_HOLDS),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_holding,
+        State.RETURNING, Action.LEAVE, Reason.FAILSAFE_STAYS),
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s), State.PILOT, Action.WAIT, Reason.FAILSAFE_STICKS),
     # We do.
     Row(_RETURNING, _has(Setback.REFUSED), State.LANDING, Action.LEAVE, Reason.REFUSED),
     Row(_LANDING, lambda s: s.setback is Setback.REFUSED and s.times_interrupted < 2,

@@ -173,8 +173,6 @@ class RunRecorder:
             _append(self._logs[name], _json_line(record))
         except OSError as exc:
             self.lost_lines += 1
-            if self.lost_lines > 1:
-                return
             raise RecordError(
                 f"cannot write {self.folder.path / name}: {exc.strerror}; free space on its disk"
             ) from exc

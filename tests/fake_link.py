@@ -63,6 +63,7 @@ class FakeVehicle:
         self.disarm_after_s = _DISARM_AFTER_S
         self.setpoint_limit_s = _SETPOINT_LIMIT_S
         self.height_error_m = 0.0
+        self.climb_m_s = _SPEED_M_S
 
     @property
     def is_on_ground(self) -> bool:
@@ -116,7 +117,8 @@ class FakeVehicle:
                 self.intent = Mode.HOLD
         elif mode is Mode.OFFBOARD and self.setpoint is not None:
             for axis in range(3):
-                self._move(axis, self.setpoint.position_ned_m[axis], _SPEED_M_S)
+                speed_m_s = self.climb_m_s if axis == 2 else _SPEED_M_S
+                self._move(axis, self.setpoint.position_ned_m[axis], speed_m_s)
         elif mode is Mode.LAND or (mode is Mode.RETURN and self._is_over_home()):
             self._move(2, 0.0, _CLIMB_M_S)
         elif mode is Mode.RETURN:
@@ -363,8 +365,7 @@ class FakeLink:
 
     async def _change_mode(self, name: str, mode: Mode) -> None:
         self._check_mode()
-        if self._expected is not None:
-            self._expected |= {mode}
+        self._expected = (self._expected or frozenset({self._state.mode})) | {mode}
         await self._confirm(
             name, lambda: self.vehicle.choose(mode), lambda: self._state.mode is mode
         )
@@ -398,8 +399,7 @@ class FakeLink:
 
     async def start_offboard(self, setpoint: Setpoint) -> None:
         self._check_mode()
-        if self._expected is not None:
-            self._expected |= {Mode.OFFBOARD}
+        self._expected = (self._expected or frozenset({self._state.mode})) | {Mode.OFFBOARD}
         end_s = self.time_s + self._timeout_s
         while self._state.mode is not Mode.OFFBOARD:
             if self.time_s > end_s:

@@ -170,13 +170,15 @@ def test_land_is_asked_for_only_without_a_position_or_a_way_home():
     """Where there is a position, home is better than the field."""
     for situation, advice in _advices():
         if situation.state in {State.RETURNING, State.FAILSAFE} and advice.state is State.LANDING:
-            is_hovering = situation.setback is Setback.FAILSAFE or situation.is_failsafe
-            assert (
-                not situation.is_position_good
-                or situation.times_interrupted >= 2
-                or situation.setback is Setback.REFUSED
-                or (is_hovering and not situation.is_holding)
-            ), situation
+            is_refused = situation.setback is Setback.REFUSED
+            is_asked = situation.times_interrupted >= 2
+            assert not situation.is_position_good or is_asked or is_refused, situation
+
+
+def test_nothing_is_commanded_into_silence():
+    for situation, advice in _advices():
+        if situation.setback is Setback.LINK_LOST:
+            assert advice.action not in COMMANDS, situation
 
 
 def test_an_unarmed_drone_on_its_way_home_ends_the_flight():

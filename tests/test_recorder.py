@@ -145,7 +145,7 @@ def test_a_full_disk_is_found_before_the_flight(tmp_path: Path) -> None:
         create(tmp_path, needed_bytes=10**18)
 
 
-def test_a_write_that_fails_raises_once_and_leaves_whole_lines(tmp_path: Path) -> None:
+def test_a_write_that_fails_raises_and_leaves_whole_lines(tmp_path: Path) -> None:
     """A file size limit stands in for a full disk: both fail a write part of the way through."""
     with create(tmp_path) as run:
         run.take(noted("armed", "armed", 1.0))
@@ -155,7 +155,8 @@ def test_a_write_that_fails_raises_once_and_leaves_whole_lines(tmp_path: Path) -
         try:
             with pytest.raises(RecordError, match="free space"):
                 run.take(noted("long", "x" * 400, 2.0))
-            run.take(noted("long", "x" * 400, 3.0))
+            with pytest.raises(RecordError, match="free space"):
+                run.take(noted("long", "x" * 400, 3.0))
             run.take(noted("short", "returning", 4.0))
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)

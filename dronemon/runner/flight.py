@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from dronemon.camera import check_picture
-from dronemon.errors import CameraError, DronemonError, PlannerError, VehicleError
+from dronemon.errors import CameraError, DronemonError, PlannerError, RecordError, VehicleError
 from dronemon.events import AreaLaid, EventStream, Progressed
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import State
@@ -105,6 +105,8 @@ class _Flight:
                             pass  # the pilot gave control back
                 finally:
                     await supervisor.come_home()
+                    if not supervisor.is_down:
+                        self._events.note("last word", last_seen(self._link).words, level="ERROR")
                     await self._leave_in_hold()
                     listening.cancel()
             self._tell_losses()
@@ -236,7 +238,7 @@ class _Flight:
 
     async def _leave_in_hold(self) -> None:
         """After our flight: PX4 would else want OFFBOARD again, in which it cannot be armed."""
-        is_ours = self._supervisor.was_armed and self._supervisor.state is State.ENDED
+        is_ours = self._supervisor.was_armed and self._supervisor.outcome != "pilot"
         if is_ours and self._supervisor.is_down and self._link.state.mode is not Mode.HOLD:
             with contextlib.suppress(DronemonError):
                 await self._link.hold()
@@ -268,9 +270,9 @@ class _Flight:
 
     async def _tell_texts(self) -> None:
         """Tell what the autopilot says when it says it."""
-        with contextlib.suppress(Exception):  # nothing may disturb the flight
-            while True:
-                for said in await self._link.next_texts():
+        while True:
+            for said in await self._link.next_texts():
+                with contextlib.suppress(RecordError):  # the patrol's next line meets it too
                     self._events.note("autopilot", said.text, level=said.level)
 
     def _distance_from_home_m(self) -> float | None:

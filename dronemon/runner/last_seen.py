@@ -19,6 +19,10 @@ _WHAT_COMES = {
     Mode.OFFBOARD: "without setpoints its failsafe acts within seconds: by default it flies home",
 }
 FIRST_WORDS = "the motors may be running"
+_FAILSAFE = (
+    "its failsafe acts within seconds: by default it flies home, or comes down where it has no "
+    "position"
+)
 _PILOTS = "whoever chose that mode flies it"
 
 
@@ -62,6 +66,7 @@ def last_seen(link: VehicleLink) -> LastSeen:
             latitude_deg, longitude_deg = place.latitude_deg, place.longitude_deg
     except VehicleError:
         pass  # no pose was ever heard
+    is_failsafe = state.is_failsafe and state.mode not in {Mode.RETURN, Mode.LAND}
     heard_at = datetime.now(UTC) - timedelta(seconds=link.heartbeat_age_s)
     return LastSeen(
         heard_at=heard_at.isoformat(timespec="seconds"),
@@ -70,5 +75,5 @@ def last_seen(link: VehicleLink) -> LastSeen:
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         down_m=down_m,
-        what_comes=_WHAT_COMES.get(state.mode, _PILOTS),
+        what_comes=_FAILSAFE if is_failsafe else _WHAT_COMES.get(state.mode, _PILOTS),
     )

@@ -37,6 +37,7 @@ _STILL: Point = (0.0, 0.0)
 _SLOW_PLANNER_S = 1.0
 _OFF_HEIGHT_S = 3.0
 """Vehicle time for which the drone may be far from its height."""
+_CLIMB_LIMIT_S = 120.0
 _HEIGHT_BAND_M, _HEIGHT_BAND = 2.0, 0.15
 
 
@@ -80,13 +81,14 @@ class Patrol:
 
         Raises what the vehicle, the camera, the planner or the recorder raise.
         """
-        pose = self._link.pose
-        self._set_out(pose)
-        self._at_height_s = pose.time_s
         self._last_pose, self._waiting_since = None, None
         self._is_waypoint_asked = False
         self._work = self._observer.resume()
-        await self._link.start_offboard(self._setpoint(pose.position_ned_m[:2]))
+        place_m = self._link.pose.position_ned_m[:2]
+        await self._link.start_offboard(self._setpoint(place_m))
+        if not await self._come_to_height(place_m):
+            return
+        self._set_out(self._link.pose)
         try:
             async with asyncio.TaskGroup() as group:
                 others = [
@@ -101,6 +103,23 @@ class Patrol:
             raise group_error.exceptions[0] from None
 
     # Guidance
+
+    async def _come_to_height(self, place_m: Point) -> bool:
+        """Straight up or down first: a pilot may give control back anywhere. -> whether to go on"""
+        pose = self._link.pose
+        limit_s = pose.time_s + _CLIMB_LIMIT_S
+        while not self._is_at_height(pose):
+            advice = self._supervisor.ask(is_off_height=pose.time_s > limit_s)
+            if advice.action is not Action.GO_ON:
+                return False
+            await self._link.send_setpoint(self._setpoint(place_m))
+            pose = await self._link.next_pose()
+        self._at_height_s = pose.time_s
+        return True
+
+    def _is_at_height(self, pose: Pose) -> bool:
+        off_m = abs(pose.position_ned_m[2] - self._down_m)
+        return off_m <= _HEIGHT_BAND_M + _HEIGHT_BAND * self._mission.flight.altitude_m
 
     def _set_out(self, pose: Pose) -> None:
         """Begin a path here, to the newest waypoint."""
@@ -172,8 +191,7 @@ class Patrol:
 
     def _is_off_height(self, pose: Pose) -> bool:
         """Whether it has been far from its height for long."""
-        off_m = abs(pose.position_ned_m[2] - self._down_m)
-        if off_m <= _HEIGHT_BAND_M + _HEIGHT_BAND * self._mission.flight.altitude_m:
+        if self._is_at_height(pose):
             self._at_height_s = pose.time_s
         return pose.time_s > self._at_height_s + _OFF_HEIGHT_S
 

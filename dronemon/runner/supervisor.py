@@ -61,7 +61,7 @@ _OUTCOMES = {
 }
 _INTERRUPTS = {
     State.PREPARING: "nothing has flown; the program ends",
-    State.PILOT: "the pilot flies on; Ctrl-C again ends the program and leaves it to the pilot",
+    State.PILOT: "the pilot flies on; a second Ctrl-C ends the program and leaves it to the pilot",
     State.LANDING: "the drone is landing here already",
 }
 
@@ -113,11 +113,12 @@ class Supervisor:
         self._down_by_s: float | None = None  # while it is on its way down
         self._time_s = self._armed_s = 0.0  # vehicle time
         self._off_ground_s = self._failsafe_s = -math.inf
-        self._was_position_lost = False
+        self._was_position_lost = self._has_land_worked = False
         self._sure_at = 0  # number of the heartbeat from which "disarmed" is believed
         self._offboard_since: int | None = None  # number of the heartbeat that showed it first
         self._told: tuple[object, float] = (None, -math.inf)  # the problem told last, and when
         self._heard_at = math.inf
+        self._is_silent = False  # the link was lost, and nothing was heard since
         self._interrupts_told = 0
 
     # The mission's steps
@@ -174,6 +175,7 @@ class Supervisor:
                 self._meet(problem)
         else:
             self._heard_at, self._told = asyncio.get_running_loop().time(), (None, -math.inf)
+            self._is_silent = False
         if self._setback is Setback.FAILED and self.state not in MISSION:
             await asyncio.sleep(_RETRY_S)
 
@@ -187,7 +189,7 @@ class Supervisor:
                 self._failsafe_s = self._time_s
                 return  # told when the guard has judged it
             case LinkLost():
-                self._setback, kind = Setback.LINK_LOST, "link lost"
+                self._setback, kind, self._is_silent = Setback.LINK_LOST, "link lost", True
             case CommandRejected() | CommandUnconfirmed():
                 self._setback = Setback.REFUSED
                 self._was_position_lost &= self.state is not State.RETURNING
@@ -209,13 +211,14 @@ class Supervisor:
             self._down_by_s = None
         elif self._down_by_s is None:
             self._down_by_s = self._time_s + LANDING_LIMIT_S
-        self.state, self._setback = advice.state, Setback.NONE
+        self.state = advice.state
+        self._setback = Setback.LINK_LOST if self._is_silent else Setback.NONE
         return advice
 
     def hear_armed(self) -> None:
         """We armed it: from now on it is ours."""
         if not self.was_armed:
-            self.was_armed, self._armed_s = True, self._link.time_s
+            self.was_armed, self._armed_s = True, self._time_s
 
     def _situation(self, patrol: PatrolFacts) -> Situation:
         state, number = self._link.state, self._link.num_heartbeats
@@ -284,7 +287,8 @@ class Supervisor:
             )
         self._tell(kind, self._problem, "WARN")
         self._link.release()
-        self._before = self.state
+        is_unasked = self.state is State.LANDING and not self._has_land_worked
+        self._before = State.RETURNING if is_unasked else self.state
         self._heard_at = asyncio.get_running_loop().time()
 
     def _leave_mission(self, outcome: str, error: DronemonError | None) -> None:
@@ -346,6 +350,7 @@ class Supervisor:
         match action:
             case Action.RETURN | Action.LAND:
                 await (link.land() if action is Action.LAND else link.return_home())
+                self._has_land_worked |= action is Action.LAND
                 self._events.note("homecoming", str(self.state))
                 self._down_by_s = link.time_s + LANDING_LIMIT_S
             case Action.DISARM:

@@ -64,7 +64,7 @@ class Hearing:
         """Wall time since the last heartbeat."""
         return max(asyncio.get_running_loop().time() - self._beat_at, 0.0)
 
-    async def next_message(self, *, checks_mode: bool = True) -> None:
+    async def next_message(self, *, checks_mode: bool = True, needs_pose: bool = True) -> None:
         """Wait for any telemetry and check what every wait must check."""
         try:
             async with asyncio.timeout(self._limit_s):
@@ -79,7 +79,7 @@ class Hearing:
         if checks_mode:
             self.modes.check(self.state)
         silent_s = asyncio.get_running_loop().time() - self._posed_at
-        if silent_s > self._limit_s:
+        if needs_pose and silent_s > self._limit_s:
             raise LinkLost(
                 f"the vehicle on {self._url} sent no position or attitude for {silent_s:.1f} s; "
                 f"{_IN_CHARGE} they are back"
@@ -99,7 +99,7 @@ class Hearing:
         """Wait for the next heartbeat."""
         heard = self.telemetry.num_heartbeats
         while self.telemetry.num_heartbeats == heard:
-            await self.next_message(checks_mode=False)
+            await self.next_message(checks_mode=False, needs_pose=False)
 
     async def next_texts(self) -> list[StatusText]:
         """Wait, without a limit, until the autopilot says something."""

@@ -174,7 +174,7 @@ class MavsdkLink:
         num_texts, num_heartbeats = self._telemetry.texts.num_heard, self._telemetry.num_heartbeats
         for _ in range(_ATTEMPTS):
             with contextlib.suppress(CommandUnconfirmed):
-                await self._wire.command(command)
+                await self._wire.command(command, lambda: self._modes.check(self.state))
             try:
                 return await self.wait_until(
                     lambda: self._telemetry.num_heartbeats > num_heartbeats and condition(),
@@ -202,7 +202,7 @@ class MavsdkLink:
     async def _change_mode(self, mode: Mode) -> None:
         """Ask for a mode and wait for the heartbeat that shows it; a pilot's choice wins."""
         self._modes.check(self.state)
-        self._modes.expect_also(mode)
+        self._modes.expect_also(mode, self.state.mode)
         await self._confirm(f"mode '{mode}'", Command.choose(mode), lambda: self.state.mode is mode)
         self._modes.expect(mode)
 
@@ -253,7 +253,14 @@ class MavsdkLink:
         def climbed_m() -> float:
             return start_down_m - self.pose.position_ned_m[2]
 
+        has_begun = False
         while self.state.is_armed and (reached_m := climbed_m()) <= enough_m:
+            has_begun = has_begun or self.state.mode is Mode.TAKEOFF
+            if has_begun and self.state.mode is Mode.HOLD:  # PX4 chooses it at the top alone
+                raise ControlTaken(
+                    f"mode '{Mode.HOLD}' was chosen at {reached_m:.1f} m of {height_m:g} m",
+                    by_failsafe=self.state.is_failsafe,
+                )
             next_m = min(reached_m + _CLIMB_M, enough_m)
             try:
                 await self.wait_until(
@@ -284,7 +291,7 @@ class MavsdkLink:
     async def start_offboard(self, setpoint: Setpoint) -> None:
         """Hand the vehicle over to our setpoints, which flow from here on."""
         self._modes.check(self.state)
-        self._modes.expect_also(Mode.OFFBOARD)
+        self._modes.expect_also(Mode.OFFBOARD, self.state.mode)
         await self.send_setpoint(setpoint)
         num_texts, start_s = self._telemetry.texts.num_heard, self.time_s
         ask_s = start_s + _STREAM_BEFORE_OFFBOARD_S

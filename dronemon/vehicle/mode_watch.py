@@ -16,10 +16,9 @@ class ModeWatch:
         """From now on these are ours."""
         self._expected = frozenset(modes)
 
-    def expect_also(self, mode: Mode) -> None:
-        """While a command is under way the mode is either still the old one or what we asked."""
-        if self._expected is not None:
-            self._expected |= {mode}
+    def expect_also(self, mode: Mode, present: Mode) -> None:
+        """While a command is under way the mode is still the present one, or what we asked."""
+        self._expected = (self._expected or frozenset({present})) | {mode}
 
     def release(self) -> None:
         """From now on any mode is welcome: whoever chose it is in control."""

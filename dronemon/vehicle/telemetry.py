@@ -41,7 +41,6 @@ _POSES_KEPT = 512
 _FURTHEST_M, _FASTEST_M_S, _WIDEST_RAD = 1e6, 1e3, 4.0 * math.pi
 _JUMP_M, _JUMP_RATIO, _JUMP_WITHIN_S = 2.0, 3.0, 1.0
 # Not CONST_POS_MODE, which PX4 also sets while it stands still on the ground.
-_POSITION_FLAGS = mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_GPS_GLITCH
 _Status = tuple[Mode, bool, bool]
 
 
@@ -63,6 +62,7 @@ class Telemetry:
         self._doubted: _Status | None = None
         self._poses: deque[Pose] = deque(maxlen=_POSES_KEPT)
         self._position: tuple[float, Vector3, Vector3] | None = None
+        self._num_jumps = 0  # told with the first pose after each
         self._handlers: dict[str, Callable[[dict[str, Any]], None]] = {
             "HEARTBEAT": self._on_heartbeat,
             "ATTITUDE": self._on_attitude,
@@ -191,7 +191,7 @@ class Telemetry:
         velocity = _vector(fields, ("vx", "vy", "vz"), _FASTEST_M_S)
         newest = (self._clock.time_s(fields["time_boot_ms"]), position, velocity)
         if self._position is not None and _is_jump(self._position, newest):
-            self._update(num_resets=self._state.num_resets + 1)
+            self._num_jumps += 1
         self._position = newest
 
     def _on_attitude(self, fields: dict[str, Any]) -> None:
@@ -203,6 +203,7 @@ class Telemetry:
             self._poses.clear()
             self._stamps.clear()
             self._left_s.clear()
+            self._heard_s.clear()
         if time_s is None or self._position is None:
             return
         # Positions come at a third of the attitude's rate: carry the newest one along its velocity.
@@ -210,6 +211,8 @@ class Telemetry:
         ahead_s = max(time_s - position_time_s, 0.0)
         if ahead_s > _STALE_POSITION_S:
             return  # no pose is better than an old place with a new time
+        if self._num_jumps != self._state.num_resets:
+            self._update(num_resets=self._num_jumps)
         self._poses.append(
             Pose(
                 time_s=time_s,
@@ -232,8 +235,7 @@ class Telemetry:
         )
 
     def _on_estimator_status(self, fields: dict[str, Any]) -> None:
-        flags = fields["flags"] & _POSITION_FLAGS
-        self._update(is_position_good=flags == mavlink.ESTIMATOR_POS_HORIZ_ABS)
+        self._update(is_position_good=bool(fields["flags"] & mavlink.ESTIMATOR_POS_HORIZ_ABS))
 
 
 def _is_jump(before: tuple[float, Vector3, Vector3], after: tuple[float, Vector3, Vector3]) -> bool:

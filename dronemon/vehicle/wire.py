@@ -218,14 +218,17 @@ class Wire:
         }
         await self.send("COMMAND_LONG", command=command.number, confirmation=confirmation, **fields)
 
-    async def command(self, command: Command) -> None:
+    async def command(self, command: Command, check: Callable[[], None] = lambda: None) -> None:
         """Send a command until it is acknowledged, which only says that it came.
+
+        check: raises what forbids to send it, or to send it once more
 
         Raises CommandUnconfirmed, LinkLost.
         """
         number = command.number
         num_acks = self._num_acks.get(number, 0)
         for confirmation in range(_SENDS):
+            check()
             await self.post(command, confirmation)
             await self._wait(lambda: self._num_acks.get(number, 0) > num_acks)
             if self._num_acks.get(number, 0) > num_acks:

@@ -494,6 +494,79 @@ def test_a_failsafe_is_left_to_act(flight):
     assert reasons <= flight.reasons
 
 
+def test_a_failsafe_that_leaves_it_to_sticks_is_the_pilots(flight):
+    """A radio that is on: PX4 falls back to POSCTL, with a good position."""
+
+    def fall_back() -> None:
+        flight.link.vehicle.failsafe = Mode.POSITION
+        flight.when("control taken", lambda: flight.later(3.0, lambda: flight.ask(2)))
+
+    flight.when("patrol", fall_back)
+    result = flight.fly()
+    assert Reason.FAILSAFE_STICKS in flight.reasons
+    assert not {"return", "land", "disarm"} & set(flight.link.commands)
+    assert "its failsafe acts" in result.last_word
+
+
+def test_a_pilot_wins_while_a_command_is_under_way_after_a_failsafe(flight):
+    """The mode is watched from the command on, though any was welcome before."""
+
+    def take() -> None:
+        if "land" not in flight.link.commands:
+            flight.later(0.1, take)
+            return
+        flight.link.vehicle.refused.add("land")
+        flight.link.vehicle.has_gps = True
+        flight.link.vehicle.choose(Mode.POSITION)
+        flight.later(8.0, lambda: flight.ask(2))
+
+    flight.when("failure", take)
+    flight.fly("gps@12+20")
+    assert flight.link.commands.count("land") == 1
+    assert "control taken" in flight.record.kinds
+
+
+def test_nothing_is_sent_into_silence(flight):
+    def lose() -> None:
+        flight.link.is_silent = True
+        flight.link.vehicle.choose(Mode.POSITION)  # a pilot, whom nobody hears
+        counts.append(len(flight.link.commands))
+        flight.later(5.0, flight.ask)
+        flight.later(20.0, lambda: counts.append(len(flight.link.commands)))
+        flight.later(20.0, lambda: setattr(flight.link, "is_silent", False))
+        flight.when("control taken", lambda: flight.later(3.0, lambda: flight.ask(1)))
+
+    counts: list[int] = []
+    flight.when("patrol", lambda: flight.later(4.0, lose))
+    result = flight.fly()
+    assert counts[0] == counts[1]
+    assert "control taken" in flight.record.kinds
+    assert not {"return", "land", "disarm"} & set(flight.link.commands)
+    assert not result.is_landed
+
+
+def test_a_patrol_given_back_low_climbs_before_it_goes_on(flight):
+    def sink() -> None:
+        flight.link.vehicle.position[2] = -3.0
+        flight.link.vehicle.climb_m_s = 2.0
+        flight.later(2.0, lambda: _give_back(flight))
+
+    def look(kind: str) -> None:
+        if kind == "control taken":
+            flight.later(0.5, sink)
+        elif kind == "control given back":
+            start = list(flight.link.vehicle.position)
+            flight.later(4.0, lambda: ways.append((start, list(flight.link.vehicle.position))))
+
+    ways: list[tuple[list[float], list[float]]] = []
+    flight.record.on_note = look
+    result = flight.fly("pilot@12")
+    (start, after) = ways[0]
+    assert after[2] < start[2] - 5.0
+    assert after[:2] == pytest.approx(start[:2], abs=0.1)
+    assert (result.outcome, result.error) == ("completed", None)
+
+
 def test_a_failsafe_that_only_holds_is_followed_by_a_return(flight):
     flight.when("patrol", lambda: setattr(flight.link.vehicle, "failsafe", Mode.HOLD))
     result = flight.fly()
@@ -533,9 +606,9 @@ def test_an_interrupt_is_answered_while_the_link_is_silent(flight):
 
     def lose() -> None:
         flight.link.is_silent = True
-        flight.later(16.0, lambda: flight.ask(2))  # the return is asked for until then
-        flight.later(16.1, lambda: told.append(flight.record.kinds.count("interrupt")))
-        flight.later(40.0, lambda: setattr(flight.link, "is_silent", False))
+        flight.later(9.0, lambda: flight.ask(2))  # it listens since 7 s
+        flight.later(9.1, lambda: told.append(flight.record.kinds.count("interrupt")))
+        flight.later(10.0, lambda: setattr(flight.link, "is_silent", False))
 
     flight.when("patrol", lose)
     result = flight.fly(link_loss_timeout_s=7.0)

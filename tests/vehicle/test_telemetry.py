@@ -107,7 +107,7 @@ def test_slow_state_is_read():
     ("flags", "is_good"),
     [
         (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_ATTITUDE, True),
-        (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_GPS_GLITCH, False),
+        (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_GPS_GLITCH, True),
         (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_CONST_POS_MODE, True),
         (mavlink.ESTIMATOR_POS_HORIZ_REL, False),
     ],
