@@ -26,15 +26,19 @@ POSITION_GAIN_PER_S = 0.95
 """PX4's MPC_XY_P as it comes."""
 _SHORTEST_TANGENT = 0.75
 """Corners are flown at cruise speed where the tangent is longer, slower where it is shorter."""
+_LEAD_SHARE = 0.8
+"""A lead takes this share of what is between cruise and bound; the rest is for gusts."""
 _LEAD_FREE = 0.6
 """The carrot keeps its speed below this share of the lead at which it waits."""
 _ASIDE_S = 0.5
 """Being off the path counts as a lead from here on, in seconds of cruise."""
-_PREVIEW_S = 0.1
-"""Acceleration is the change of velocity over this time."""
+_PREVIEW_S = 0.3
+"""Acceleration is the mean over this time to come: the vehicle must tilt first."""
+_ASK_AHEAD_S = 0.25
+"""The next leg is asked for so long before the carrot would brake for want of it."""
 _GRAVITY_M_S2 = 9.80665
-_SPREAD_M2_S2 = 2.0
-"""Variance of the velocity above which it tells more about the drag than what we assume: none."""
+_DOUBT_M2_S2 = 40.0
+"""Squares of velocity changes, summed, that it takes to half believe in a drag; at first, none."""
 _DRAG_MAX_PER_S = 1.0
 
 
@@ -92,8 +96,8 @@ class Carrot:
 
     @property
     def needs_waypoint(self) -> bool:
-        """Whether the next leg must be known by now."""
-        return self.remaining_m <= self.window_m
+        """Whether the next leg must be known soon."""
+        return self.remaining_m <= self.window_m + _ASK_AHEAD_S * self._cruise_m_s
 
     def extend(self, waypoint_m: Point) -> None:
         """Add a leg from the last waypoint to this one; one on the same spot adds nothing."""
@@ -131,7 +135,7 @@ class Carrot:
         north_m, east_m = position_m[0] - vehicle_m[0], position_m[1] - vehicle_m[1]
         along_m = (north_m * tangent[0] + east_m * tangent[1]) / (math.hypot(*tangent) or 1.0)
         lead_m = max(along_m, math.hypot(north_m, east_m) - _ASIDE_S * self._cruise_m_s)
-        most_m = (self._max_m_s - self._cruise_m_s) / POSITION_GAIN_PER_S
+        most_m = _LEAD_SHARE * (self._max_m_s - self._cruise_m_s) / POSITION_GAIN_PER_S
         if lead_m <= _LEAD_FREE * most_m:
             return 1.0
         return max(most_m - lead_m, 0.0) / ((1.0 - _LEAD_FREE) * most_m) if most_m else 0.0
@@ -222,12 +226,12 @@ class Drag:
 
     @property
     def per_s(self) -> float:
-        """Slope of deceleration over velocity; what does not depend on velocity is the wind's."""
+        """Slope of deceleration over velocity; what is left at rest is the wind's."""
         if not self._num:
             return 0.0
-        means = self._sums / self._num
-        velocity, lost = means[:2], means[2:4]
-        slope = (means[5] - velocity @ lost) / (means[4] - velocity @ velocity + _SPREAD_M2_S2)
+        mean_m_s, lost = self._sums[:2] / self._num, self._sums[2:4]
+        spread = self._sums[4] - mean_m_s @ self._sums[:2]
+        slope = (self._sums[5] - mean_m_s @ lost) / (spread + _DOUBT_M2_S2)
         return float(min(max(slope, 0.0), _DRAG_MAX_PER_S))
 
 

@@ -48,7 +48,8 @@ def test_asks_for_the_next_leg_before_the_end():
     position = (0.0, 0.0)
     while not carrot.needs_waypoint:
         position, _, _ = carrot.advance(STEP_S, position)
-    assert carrot.remaining_m == pytest.approx(carrot.window_m, abs=SPEED * STEP_S)
+    ahead_m = carrot.remaining_m - carrot.window_m
+    assert ahead_m == pytest.approx(0.25 * SPEED, abs=SPEED * STEP_S)
 
 
 @settings(deadline=None, max_examples=50)
@@ -77,7 +78,7 @@ def test_waits_for_a_vehicle_that_stays_behind():
     for _ in range(1000):
         position, velocity, _ = carrot.advance(STEP_S, (0.0, 0.0))
     assert position[0] <= 0.1 * SPEED / POSITION_GAIN_PER_S
-    assert velocity[0] + POSITION_GAIN_PER_S * position[0] == pytest.approx(1.1 * SPEED)
+    assert velocity[0] + POSITION_GAIN_PER_S * position[0] == pytest.approx(1.08 * SPEED)
 
 
 @settings(deadline=None, max_examples=50)
@@ -167,4 +168,4 @@ def test_drag_is_told_from_wind(drag_per_s: float, wind_m_s: float, yaw_rad: flo
                 attitude_rad=(math.atan(right * math.cos(pitch)), pitch, yaw_rad),
             )
         )
-    assert drag.per_s == pytest.approx(drag_per_s, rel=0.15, abs=0.02)
+    assert drag.per_s == pytest.approx(drag_per_s, rel=0.1, abs=0.02)
