@@ -380,6 +380,7 @@ def test_a_torn_picture_lacks_its_end() -> None:
     asyncio.run(tell())
 
 
+@pytest.mark.slow
 def test_the_process_takes_faults_on_its_input(mock_vehicle: StartMockVehicle) -> None:
     vehicle = mock_vehicle("animals")
 

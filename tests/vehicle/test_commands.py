@@ -46,6 +46,7 @@ def test_a_refusal_says_what_the_autopilot_says():
     air.run(story, command_timeout_s=3.0)
 
 
+@pytest.mark.slow
 def test_a_command_that_is_not_answered_is_sent_again():
     air = flying()
     heard = []
@@ -108,6 +109,7 @@ def test_motors_that_stop_end_the_take_off_at_once_and_leave_it_in_hold():
     air.run(story)
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_does_not_climb_is_an_error():
     air = flying()
 

@@ -16,6 +16,7 @@ async def nothing(_link):
     raise AssertionError("it is connected")
 
 
+@pytest.mark.slow
 def test_only_the_autopilot_is_heard_and_its_heartbeats_are_missed():
     air = Air()
     air.beats((1, 1))
