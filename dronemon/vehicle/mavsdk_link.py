@@ -38,8 +38,8 @@ _ASK_EVERY_S = 1.0
 _ROUND_TRIPS = 3
 _STREAM_BEFORE_OFFBOARD_S = 0.5
 _SETPOINT_GAP_S = 1.0
-"""PX4's COM_OF_LOSS_T: after so long without a setpoint its failsafe flies. By the clock: poses of a
-simulator that runs faster come in bursts, and a burst is no pause of ours."""
+"""PX4's COM_OF_LOSS_T: after so long without a setpoint its failsafe flies. By the clock: poses of
+a simulator that runs faster come in bursts, and a burst is no pause of ours."""
 _TEXTS_COME_S = 1.2
 _CLIMB_M, _CLIMB_WITHIN_S = 1.0, 20.0
 _WORDS = 4
