@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.mission import Mission
-from dronemon.mission.faults import Fault
+from dronemon.mission.faults import parse_fault
 from sim.flight import MockFlight
-
-FAULTLESS: tuple[Fault, ...] = ()
+from sim.world import World
 
 
 def make_mission(**sections: Any) -> Mission:
@@ -102,3 +101,21 @@ class GroundStation(asyncio.DatagramProtocol):
         acks = [m for m in self.of("COMMAND_ACK") if m.command == number]
         result: int = acks[-1].result
         return result
+
+
+def with_station(story: Callable[[GroundStation], Awaitable[None]], *faults: str) -> None:
+    """Tell a story to a vehicle that has just booted."""
+    mission = make_mission()
+
+    async def tell() -> None:
+        parsed = tuple(parse_fault(text) for text in faults)
+        station = GroundStation(MockFlight(mission, World(mission), parsed))
+        await station.open()
+        try:
+            await station.fly(6.0)
+            await story(station)
+        finally:
+            station.close()
+            station.simulation.close_links()
+
+    asyncio.run(tell())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import struct
 from collections.abc import Awaitable, Callable
@@ -10,44 +9,17 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from ground_station import FAULTLESS, GroundStation, make_mission
+from ground_station import GroundStation, with_station
 from pymavlink.dialects.v20 import common as mavlink
 
-from dronemon.mission.faults import Fault, parse_fault
-from sim.flight import HOME_NED_M, MockFlight
+from sim.flight import HOME_NED_M
 from sim.modes import Px4Mode
-from sim.world import World
 
 Story = Callable[[GroundStation], Awaitable[None]]
-Run = Callable[..., None]
 NAN = float("nan")
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 POSITION_AND_YAW, VELOCITY_AND_YAW = 2552, 2503
-
-
-@pytest.fixture
-def with_station() -> Run:
-    """Runs `story(station)` with a vehicle that has just booted; faults may be given."""
-
-    def run(
-        story: Callable[[GroundStation], Awaitable[None]], faults: tuple[Fault, ...] = FAULTLESS
-    ) -> None:
-        mission = make_mission()
-
-        async def tell() -> None:
-            station = GroundStation(MockFlight(mission, World(mission), faults))
-            await station.open()
-            try:
-                await station.fly(6.0)
-                await story(station)
-            finally:
-                station.close()
-                station.simulation.close_links()
-
-        asyncio.run(tell())
-
-    return run
 
 
 def velocity_setpoint(frame: int, north: float, mask: int = VELOCITY_AND_YAW) -> Any:
@@ -71,7 +43,7 @@ def mode(station: GroundStation) -> int:
     return current
 
 
-def test_streams_have_px4_rates_and_stamps(with_station: Run) -> None:
+def test_streams_have_px4_rates_and_stamps() -> None:
     async def story(station: GroundStation) -> None:
         station.heard.clear()
         await station.fly(10.0)
@@ -85,7 +57,7 @@ def test_streams_have_px4_rates_and_stamps(with_station: Run) -> None:
     with_station(story)
 
 
-def test_first_heartbeat_comes_after_boot_and_ready_later(with_station: Run) -> None:
+def test_first_heartbeat_comes_after_boot_and_ready_later() -> None:
     async def story(station: GroundStation) -> None:
         assert len(station.of("HEARTBEAT")) == 5
         ready = [
@@ -98,7 +70,7 @@ def test_first_heartbeat_comes_after_boot_and_ready_later(with_station: Run) -> 
     with_station(story)
 
 
-def test_origin_is_not_home_and_both_agree(with_station: Run) -> None:
+def test_origin_is_not_home_and_both_agree() -> None:
     async def story(station: GroundStation) -> None:
         await station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 49.0)
         await station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 242.0)
@@ -111,7 +83,7 @@ def test_origin_is_not_home_and_both_agree(with_station: Run) -> None:
     with_station(story)
 
 
-def test_mode_change_is_acknowledged_twice(with_station: Run) -> None:
+def test_mode_change_is_acknowledged_twice() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
         station.heard.clear()
@@ -127,7 +99,7 @@ def test_mode_change_is_acknowledged_twice(with_station: Run) -> None:
     with_station(story)
 
 
-def test_offboard_on_the_ground_is_accepted_but_arming_is_not(with_station: Run) -> None:
+def test_offboard_on_the_ground_is_accepted_but_arming_is_not() -> None:
     async def story(station: GroundStation) -> None:
         assert await station.command(SET_MODE, 1.0, 6.0, 0.0) == mavlink.MAV_RESULT_ACCEPTED
         assert await station.command(ARM, 1.0) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
@@ -138,7 +110,7 @@ def test_offboard_on_the_ground_is_accepted_but_arming_is_not(with_station: Run)
 
 
 @pytest.mark.parametrize(("frame", "is_flown"), [(1, True), (8, True), (7, False), (9, False)])
-def test_setpoint_frames(with_station: Run, frame: int, is_flown: bool) -> None:
+def test_setpoint_frames(frame: int, is_flown: bool) -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
         for _ in range(5):
@@ -155,7 +127,7 @@ def test_setpoint_frames(with_station: Run, frame: int, is_flown: bool) -> None:
     with_station(story)
 
 
-def test_global_setpoint_is_relative_to_home(with_station: Run) -> None:
+def test_global_setpoint_is_relative_to_home() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
         north_deg, east_deg, _ = station.simulation.autopilot.map.to_geo(
@@ -178,7 +150,7 @@ def test_global_setpoint_is_relative_to_home(with_station: Run) -> None:
     with_station(story)
 
 
-def test_setpoint_of_nothing_and_infinities_do_no_harm(with_station: Run) -> None:
+def test_setpoint_of_nothing_and_infinities_do_no_harm() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
         station.send(velocity_setpoint(1, 0.0, mask=0xFFF))
@@ -194,7 +166,7 @@ def test_setpoint_of_nothing_and_infinities_do_no_harm(with_station: Run) -> Non
     with_station(story)
 
 
-def test_reposition_takes_altitude_above_sea_level(with_station: Run) -> None:
+def test_reposition_takes_altitude_above_sea_level() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
         home_m = station.simulation.autopilot.origin.altitude_m - HOME_NED_M[2]
@@ -216,14 +188,14 @@ def test_reposition_takes_altitude_above_sea_level(with_station: Run) -> None:
     with_station(story)
 
 
-def test_unknown_command_is_unsupported(with_station: Run) -> None:
+def test_unknown_command_is_unsupported() -> None:
     async def story(station: GroundStation) -> None:
         assert await station.command(31010) == mavlink.MAV_RESULT_UNSUPPORTED
 
     with_station(story)
 
 
-def test_message_rate_can_be_changed_and_switched_off(with_station: Run) -> None:
+def test_message_rate_can_be_changed_and_switched_off() -> None:
     async def story(station: GroundStation) -> None:
         set_interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         assert await station.command(set_interval, 30.0, 1e6 / 10.0) == 0
@@ -239,7 +211,7 @@ def test_message_rate_can_be_changed_and_switched_off(with_station: Run) -> None
     with_station(story)
 
 
-def test_parameters_come_by_name_by_index_and_as_a_paced_list(with_station: Run) -> None:
+def test_parameters_come_by_name_by_index_and_as_a_paced_list() -> None:
     async def story(station: GroundStation) -> None:
         read = mavlink.MAVLink_param_request_read_message
         value = await station.ask(read(1, 1, b"MIS_TAKEOFF_ALT", -1), "PARAM_VALUE")
@@ -258,7 +230,7 @@ def test_parameters_come_by_name_by_index_and_as_a_paced_list(with_station: Run)
     with_station(story)
 
 
-def test_integer_parameter_travels_as_its_bytes(with_station: Run) -> None:
+def test_integer_parameter_travels_as_its_bytes() -> None:
     async def story(station: GroundStation) -> None:
         as_float = struct.unpack("<f", struct.pack("<i", 3))[0]
         message = mavlink.MAVLink_param_set_message(1, 1, b"COM_LOW_BAT_ACT", as_float, 6)
@@ -274,7 +246,7 @@ def test_integer_parameter_travels_as_its_bytes(with_station: Run) -> None:
 
 
 @pytest.mark.parametrize("mission_type", [0, 1])
-def test_plan_is_uploaded_read_back_and_cleared(with_station: Run, mission_type: int) -> None:
+def test_plan_is_uploaded_read_back_and_cleared(mission_type: int) -> None:
     def item(seq: int) -> Any:
         return mavlink.MAVLink_mission_item_int_message(
             1,
@@ -313,7 +285,7 @@ def test_plan_is_uploaded_read_back_and_cleared(with_station: Run, mission_type:
     with_station(story)
 
 
-def test_file_transfer_is_refused_at_once(with_station: Run) -> None:
+def test_file_transfer_is_refused_at_once() -> None:
     async def story(station: GroundStation) -> None:
         list_directory = [7, 0, 0, 3, 1, 0, 0, 0, 0, 0, 0, 0, ord("/")]
         payload = list_directory + [0] * (251 - len(list_directory))
@@ -325,7 +297,7 @@ def test_file_transfer_is_refused_at_once(with_station: Run) -> None:
     with_station(story)
 
 
-def test_ping_and_timesync_are_answered(with_station: Run) -> None:
+def test_ping_and_timesync_are_answered() -> None:
     async def story(station: GroundStation) -> None:
         ping = await station.ask(mavlink.MAVLink_ping_message(123, 4, 0, 0), "PING")
         assert (ping.time_usec, ping.seq, ping.target_system) == (123, 4, 245)
@@ -336,7 +308,7 @@ def test_ping_and_timesync_are_answered(with_station: Run) -> None:
     with_station(story)
 
 
-def test_texts_need_a_ground_station(with_station: Run) -> None:
+def test_texts_need_a_ground_station() -> None:
     async def story(station: GroundStation) -> None:
         await station.command(ARM, 0.0)
         await station.command(ARM, 1.0)
@@ -348,7 +320,7 @@ def test_texts_need_a_ground_station(with_station: Run) -> None:
     with_station(story)
 
 
-def test_message_for_another_vehicle_is_ignored(with_station: Run) -> None:
+def test_message_for_another_vehicle_is_ignored() -> None:
     async def story(station: GroundStation) -> None:
         other = mavlink.MAVLink_command_long_message(2, 1, ARM, 0, 1.0, *[NAN] * 6)
         station.send(other)
@@ -360,7 +332,7 @@ def test_message_for_another_vehicle_is_ignored(with_station: Run) -> None:
     with_station(story)
 
 
-def test_second_link_also_streams_and_commands(with_station: Run) -> None:
+def test_second_link_also_streams_and_commands() -> None:
     async def story(station: GroundStation) -> None:
         second = GroundStation(station.simulation)
         await second.open()
@@ -372,7 +344,7 @@ def test_second_link_also_streams_and_commands(with_station: Run) -> None:
     with_station(story)
 
 
-def test_garbage_is_ignored(with_station: Run) -> None:
+def test_garbage_is_ignored() -> None:
     async def story(station: GroundStation) -> None:
         packet = velocity_setpoint(1, 3.0).pack(mavlink.MAVLink(None, 245, 190))
         for junk in (b"", b"\xfd", bytes(300), packet[:-1] + b"\x00", packet[5:]):
@@ -383,7 +355,7 @@ def test_garbage_is_ignored(with_station: Run) -> None:
     with_station(story)
 
 
-def test_faults_begin_and_end_after_arming(with_station: Run) -> None:
+def test_faults_begin_and_end_after_arming() -> None:
     async def story(station: GroundStation) -> None:
         await station.fly(20.0)  # before arming no fault is due
         await take_off(station)
@@ -404,10 +376,10 @@ def test_faults_begin_and_end_after_arming(with_station: Run) -> None:
         assert mode(station) == Px4Mode.POSCTL
 
     faults = ("silence@22+3", "reject@26", "pilot@28")
-    with_station(story, tuple(parse_fault(text) for text in faults))
+    with_station(story, *faults)
 
 
-def test_deaf_vehicle_obeys_nobody(with_station: Run) -> None:
+def test_deaf_vehicle_obeys_nobody() -> None:
     async def story(station: GroundStation) -> None:
         await station.command(ARM, 1.0)
         await station.fly(1.0)
@@ -416,10 +388,10 @@ def test_deaf_vehicle_obeys_nobody(with_station: Run) -> None:
         await station.fly(3.0)
         assert await station.command(ARM, 0.0) == mavlink.MAV_RESULT_ACCEPTED
 
-    with_station(story, (parse_fault("deaf@0.5+3"),))
+    with_station(story, "deaf@0.5+3")
 
 
-def test_reboot_in_the_air_is_seen_on_the_link(with_station: Run) -> None:
+def test_reboot_in_the_air_is_seen_on_the_link() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
         station.heard.clear()
@@ -431,4 +403,4 @@ def test_reboot_in_the_air_is_seen_on_the_link(with_station: Run) -> None:
         assert not beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
         assert station.last("EXTENDED_SYS_STATE").landed_state == 1
 
-    with_station(story, (parse_fault("reboot@20"),))
+    with_station(story, "reboot@20")

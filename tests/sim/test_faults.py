@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground_station import GroundStation, make_mission
+from ground_station import GroundStation, make_mission, with_station
 from pymavlink.dialects.v20 import common as mavlink
 from simulated_vehicle import StartMockVehicle
 
@@ -85,24 +85,6 @@ def test_a_share_has_one_wrong_byte() -> None:
     wrong = [sum(byte != 0 for byte in got) for got in channel.take(0.0)]
     assert set(wrong) == {0, 1}
     assert sum(wrong) == pytest.approx(100, abs=25)
-
-
-def with_station(story: Callable[[GroundStation], Any], *faults: str) -> None:
-    """Tell a story to a vehicle that has just booted."""
-    mission = make_mission()
-
-    async def tell() -> None:
-        parsed = tuple(parse_fault(text) for text in faults)
-        station = GroundStation(MockFlight(mission, World(mission), parsed))
-        await station.open()
-        try:
-            await station.fly(6.0)
-            await story(station)
-        finally:
-            station.close()
-            station.simulation.close_links()
-
-    asyncio.run(tell())
 
 
 def test_a_lossy_slow_line_still_carries_commands() -> None:
