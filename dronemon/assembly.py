@@ -8,6 +8,7 @@ import signal
 from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,28 +63,20 @@ async def assemble_and_fly(
             else:
                 recorder.finish("failed", {"error": str(exc) or repr(exc)})
             raise
+        sum_up = partial(
+            summarise,
+            side_m=mission.area.side_m,
+            target_names=tuple(target.name for target in mission.targets),
+            kernel=mission_kernel(mission),
+        )
         try:
-            summary = summarise(
-                result,
-                truth=truth,
-                side_m=mission.area.side_m,
-                target_names=tuple(target.name for target in mission.targets),
-                kernel=mission_kernel(mission),
-            )
+            summary = sum_up(result, truth=truth)
             recorder.finish(result.outcome, summary.as_json())
         except Exception as exc:  # noqa: BLE001 - the last word on the drone comes first
             error = exc if isinstance(exc, DronemonError) else DronemonError(repr(exc))
             print_error(f"after the flight: {error}")
             result = replace(result, error=result.error or error)
-            summary = Summary(
-                outcome=result.outcome,
-                is_landed=result.is_landed,
-                last_seen=result.last_seen,
-                landing_error_m=result.landing_error_m,
-                error=str(error),
-                flown=None,
-                score=None,
-            )
+            summary = sum_up(replace(result, tally=None), truth={})
     return result, summary
 
 

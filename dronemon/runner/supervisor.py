@@ -330,7 +330,9 @@ class Supervisor:
                 "vehicle time after it was due; the drone returns"
             )
         error = CameraError if reason is Reason.BLIND else VehicleError
-        return error(f"{reason} ({self._link.state.describe()})")
+        state = self._link.state
+        battery = "unknown" if state.battery is None else f"{state.battery:.0%}"
+        return error(f"{reason} ({state.describe()}, battery {battery})")
 
     def _end(self, reason: Reason) -> None:
         """The last state is known: what the program says from now on is about the past."""

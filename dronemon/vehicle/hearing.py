@@ -130,5 +130,5 @@ class Hearing:
                 if pose.time_s > deadline_s:
                     raise CommandUnconfirmed(
                         f"{what}: not seen in telemetry after {timeout_s:g} s of vehicle time; "
-                        f"it says {self.telemetry.describe()}"
+                        f"it says {self.state.describe()}"
                     )

@@ -76,13 +76,9 @@ class VehicleState:
 
     def describe(self) -> str:
         """The state in words."""
-        words = [
-            f"mode '{self.mode}'",
-            "armed" if self.is_armed else "disarmed",
-            str(self.landed),
-            "battery unknown" if self.battery is None else f"battery {self.battery:.0%}",
-        ]
-        return ", ".join(words)
+        armed = "armed" if self.is_armed else "disarmed"
+        checks = "" if self.is_armable else ", arming checks not passed"
+        return f"mode '{self.mode}', {armed}, {self.landed}{checks}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

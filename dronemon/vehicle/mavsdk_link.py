@@ -192,7 +192,7 @@ class MavsdkLink:
         error = CommandUnconfirmed if answer in {"accepted", "no answer"} else CommandRejected
         return error(
             f"{what}: asked {_ATTEMPTS} times without effect ({answer}); telemetry says "
-            f"{self._telemetry.describe()}{self._said_since(num_texts)}"
+            f"{self.state.describe()}{self._said_since(num_texts)}"
         )
 
     def _said_since(self, num_texts: int) -> str:
@@ -273,7 +273,7 @@ class MavsdkLink:
                 raise CommandUnconfirmed(
                     f"it does not climb: {climbed_m():.1f} m of {height_m:g} m after "
                     f"{_CLIMB_WITHIN_S:g} s of vehicle time; telemetry says "
-                    f"{self._telemetry.describe()}{self._said_since(num_texts)}"
+                    f"{self.state.describe()}{self._said_since(num_texts)}"
                 ) from exc
         if not self.state.is_armed:
             await self._listen(_TEXTS_COME_S)

@@ -150,14 +150,6 @@ class Telemetry:
         """What has become wrong with the vehicle's clock since the last call."""
         return self._clock.pop_problem()
 
-    def describe(self) -> str:
-        """The state in words."""
-        state = self.state
-        return (
-            f"mode '{state.mode}', {'armed' if state.is_armed else 'disarmed'}, {state.landed}"
-            + ("" if state.is_armable else ", arming checks not passed")
-        )
-
     def _update(self, **changes: Any) -> None:
         self._state = replace(self._state, **changes)
 

@@ -42,7 +42,7 @@ def test_nonsense_is_counted_and_left_out():
         if pose is not None:
             numbers = (*pose.position_ned_m, *pose.velocity_ned_m_s, *pose.attitude_rad)
             assert all(math.isfinite(number) for number in numbers)
-        assert telemetry.describe()
+        assert telemetry.state.describe()
         for said in telemetry.said():
             assert said.text.isprintable()
     assert telemetry.state.num_unreadable > NUM_MESSAGES / 2
