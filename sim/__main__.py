@@ -75,7 +75,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
             simulated = MockFlight(mission, world, tuple(options.fault))
             await simulated.open_links(options.mavlink_out, options.signing_key)
             stack.callback(simulated.close_links)
-        camera = CameraServer(model, seed, simulated.scene, truth.write, simulated.active_faults)
+        camera = CameraServer(model, seed, simulated.scene, truth.write, simulated.faults.active)
         if isinstance(simulated, Follower):
             vehicle = simulated.run(camera)
         else:

@@ -43,12 +43,16 @@ def mission_faults(mission: Mission, parse: Callable[[str], Fault]) -> list[Faul
 
 
 class FaultSchedule:
-    """Switches faults on and off as time goes by; more may be added meanwhile."""
+    """Switches faults on and off as time goes by; more may be added meanwhile.
 
-    def __init__(self, faults: Iterable[Fault], switch: Switch) -> None:
-        self._switch = switch
+    active: kinds that are on now -> value
+    """
+
+    def __init__(self, faults: Iterable[Fault], switch: Switch = lambda *_: None) -> None:
+        self._on_switch = switch
         self._waiting = list(faults)
-        self._active: list[tuple[float, str]] = []
+        self._ending: list[tuple[float, str]] = []
+        self.active: dict[str, float] = {}
 
     def add(self, fault: Fault) -> None:
         """Have one more."""
@@ -64,8 +68,15 @@ class FaultSchedule:
                 self._waiting.remove(fault)
                 self._switch(fault.kind, fault.value)
                 if fault.duration_s is not None:
-                    self._active.append((begins_s + fault.duration_s, fault.kind))
-        for active in list(self._active):
-            if active[0] <= time_s:
-                self._active.remove(active)
-                self._switch(active[1], None)
+                    self._ending.append((begins_s + fault.duration_s, fault.kind))
+        for ending in list(self._ending):
+            if ending[0] <= time_s:
+                self._ending.remove(ending)
+                self._switch(ending[1], None)
+
+    def _switch(self, kind: str, value: float | None) -> None:
+        if value is None:
+            self.active.pop(kind, None)
+        else:
+            self.active[kind] = value
+        self._on_switch(kind, value)

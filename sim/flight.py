@@ -42,8 +42,7 @@ def _stream(mission: Mission, name: str) -> random.Random:
 class MockFlight:
     """A mission's mock vehicle in its world.
 
-    faults:        all there are, the mission's included
-    active_faults: kinds that are active now -> value
+    faults: all there are, the mission's included
     """
 
     def __init__(self, mission: Mission, world: World, faults: tuple[Fault, ...] = ()) -> None:
@@ -66,17 +65,12 @@ class MockFlight:
         self._line_rng = _stream(mission, "line")
         self._time_s = 0.0
         self._armed_at_s: float | None = None
-        self.active_faults: dict[str, float] = {}
         listed = mission_faults(mission, parse_vehicle_fault)
         self.faults = FaultSchedule((*listed, *faults), self._switch)
 
     def _switch(self, kind: str, value: float | None) -> None:
         """Begin a fault, or end it where the value is None."""
         autopilot, is_on = self.autopilot, value is not None
-        if value is None:
-            self.active_faults.pop(kind, None)
-        else:
-            self.active_faults[kind] = value
         if kind.isupper() and value is not None:
             autopilot.parameters.set(kind, value)
         elif kind == "pilot" and is_on:
@@ -89,10 +83,10 @@ class MockFlight:
             autopilot.jump(value or 0.0)
         elif kind == "reboot":
             autopilot.reboot()
-        autopilot.has_gps = "gps" not in self.active_faults
-        autopilot.ignores_setpoints = "ignore" in self.active_faults
-        autopilot.problems = (_PROBLEM,) if "unarmable" in self.active_faults else ()
-        autopilot.breach = _BREACH if "fence" in self.active_faults else None
+        autopilot.has_gps = "gps" not in self.faults.active
+        autopilot.ignores_setpoints = "ignore" in self.faults.active
+        autopilot.problems = (_PROBLEM,) if "unarmable" in self.faults.active else ()
+        autopilot.breach = _BREACH if "fence" in self.faults.active else None
 
     def scene(self) -> Scene:
         """What there is to see at this instant."""
@@ -105,7 +99,7 @@ class MockFlight:
         """Stream to these addresses from now on, signed if there is a key."""
         loop = asyncio.get_running_loop()
         for remote in remotes:
-            faults, rng = self.active_faults, self._line_rng
+            faults, rng = self.faults.active, self._line_rng
             link = partial(MavlinkLink, self.autopilot, remote, faults, rng, signing_key)
             endpoint = await loop.create_datagram_endpoint(link, local_addr=("127.0.0.1", 0))
             self._links.append(endpoint[1])

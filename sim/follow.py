@@ -42,8 +42,7 @@ _WISHES = (  # command, confirmation, first and second parameter; intervals in m
 class Follower(asyncio.DatagramProtocol):
     """Hears a vehicle at `address` and shows the world as it sees it; an async context manager.
 
-    faults:        of the camera
-    active_faults: kinds that are active now -> value
+    faults: of the camera
     """
 
     def __init__(
@@ -58,8 +57,7 @@ class Follower(asyncio.DatagramProtocol):
         self._time_s = -math.inf
         self._is_armed = False
         self._armed_at_s: float | None = None
-        self.active_faults: dict[str, float] = {}
-        self.faults = FaultSchedule(faults, self._switch)
+        self.faults = FaultSchedule(faults)
         self._camera: CameraServer | None = None
         self._attitude: Any = None
         self._position: Any = None
@@ -117,12 +115,6 @@ class Follower(asyncio.DatagramProtocol):
         self.faults.advance(self._time_s, self._armed_at_s)
         if self._camera is not None:
             self._camera.silent = not self.is_ready
-
-    def _switch(self, kind: str, value: float | None) -> None:
-        if value is None:
-            self.active_faults.pop(kind, None)
-        else:
-            self.active_faults[kind] = value
 
     def _hear(self, message: Any, address: tuple[str, int]) -> None:
         kind = message.get_type()

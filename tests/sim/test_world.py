@@ -151,7 +151,7 @@ def test_a_mission_lists_faults() -> None:
     mission = make_mission(simulation=simulation)
     flight = MockFlight(mission, World(mission))
     flight.step()
-    assert flight.active_faults == {"battery": 0.5}
+    assert flight.faults.active == {"battery": 0.5}
     assert flight.autopilot.battery_level == 0.5
     with pytest.raises(ValueError, match="is not KIND"):
         make_mission(simulation={"faults": ["storm"]})
