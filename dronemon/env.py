@@ -94,16 +94,14 @@ class Env:
         """Begin one episode per setup."""
         batch, num_targets = len(setups), max(setup.num_targets for setup in setups)
         instances = [Instance.draw(setup.seed, setup.num_targets) for setup in setups]
-        roadmaps = [
-            Roadmap.random(s.num_nodes, self._num_neighbours, i.stream("roadmap"), i.start_au)
-            for s, i in zip(setups, instances, strict=True)
-        ]
-        graphs = [
-            Graphs.of(r.nodes_au, laplacian_encoding(r), r.neighbours, r.distance_au)
-            for r in roadmaps
-        ]
+        graphs, nodes_au = [], []
+        for setup, i in zip(setups, instances, strict=True):
+            k = self._num_neighbours
+            r = Roadmap.random(setup.num_nodes, k, i.stream("roadmap"), i.start_au)
+            graphs.append(Graphs.of(r.nodes_au, laplacian_encoding(r), r.neighbours, r.distance_au))
+            nodes_au.append(r.nodes_au)
         self.graphs = Graphs.concatenate(graphs).to(self._device)
-        self._nodes_au = self._stacked([roadmap.nodes_au for roadmap in roadmaps])
+        self._nodes_au = self._stacked(nodes_au)
         self._waypoints_au = self._stacked([instance.paths.points_au for instance in instances])
         steps_au = torch.linalg.vector_norm(self._waypoints_au.diff(dim=2), dim=-1)
         self._marks_au = torch.nn.functional.pad(steps_au.cumsum(dim=-1), (1, 0))

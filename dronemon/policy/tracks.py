@@ -54,6 +54,8 @@ class Tracks:
         self._has_velocity = zeros(num_targets).bool()
         # Of all contacts, for the targets' speed:
         self._way_au, self._duration_au = zeros(), zeros()
+        self._low_au, self._high_au = torch.as_tensor(ARENA.bounds).to(device)
+        self._centre_au = 0.5 * (self._low_au + self._high_au)
 
     def widen(self, num_targets: int) -> None:
         """Make room for targets that were unknown so far."""
@@ -127,9 +129,12 @@ class Tracks:
             ],
             dim=-1,
         )
-        centre_au = now_au.new_tensor(ARENA.bounds).mean(dim=0)
         expected_au = self._expected(now_au)
-        vectors = [self._place_au - centre_au, expected_au - centre_au, 10.0 * self._velocity]
+        vectors = [
+            self._place_au - self._centre_au,
+            expected_au - self._centre_au,
+            10.0 * self._velocity,
+        ]
         shown = torch.cat([*vectors, numbers], dim=-1)
         return torch.where(self._is_placed[..., None], shown, 0.0).float()
 
@@ -141,8 +146,7 @@ class Tracks:
         way = self._velocity * (now_au - self._seen_at_au)[..., None]
         length = way.norm(dim=-1, keepdim=True).clamp(min=1e-9)
         expected = self._place_au + way * (_CARRIED_AU / length).clamp(max=1.0)
-        low_au, high_au = expected.new_tensor(ARENA.bounds)
-        clipped: Tensor = expected.clamp(low_au, high_au)
+        clipped: Tensor = expected.clamp(self._low_au, self._high_au)
         return clipped
 
 
