@@ -26,9 +26,6 @@ from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, IntArray
 from dronemon.world import measure
 
-_NEXT_AU = 0.03
-"""A measurement nearer than this is left to come as it may: no waypoint is as near as that."""
-
 
 class SearchPlanner:
     """Flies freely, a measurement's interval at a time."""
@@ -70,8 +67,6 @@ class SearchPlanner:
         """One step along the best path found."""
         num_taken = math.floor(snapshot.flown_au / MEASUREMENT_INTERVAL_AU + 1e-9)
         due_au = until_measurement_au(snapshot.flown_au - num_taken * MEASUREMENT_INTERVAL_AU)
-        if due_au < _NEXT_AU:
-            due_au += MEASUREMENT_INTERVAL_AU
         x_au, y_au = snapshot.position_au.tolist()
         start = paths.Start(x_au, y_au, -1, due_au)
         found = self._search(snapshot, start, np.empty(0, dtype=np.int64))

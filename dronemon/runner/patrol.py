@@ -19,7 +19,7 @@ from dronemon.frames import AreaFrame
 from dronemon.guard import Action
 from dronemon.guidance import Carrot, Drag, Point
 from dronemon.planner import Snapshot, Waypoint
-from dronemon.planner.motion import waypoint_flaw
+from dronemon.planner.motion import until_measurement_au, waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
@@ -34,6 +34,8 @@ from dronemon.vehicle import Setpoint
 SETPOINT_INTERVAL_S = 0.05
 """Vehicle time between setpoints: 20 Hz, far from the 2 Hz that PX4 needs."""
 _STILL: Point = (0.0, 0.0)
+_NEXT_PICTURE_AU = 0.03
+"""A picture due no farther than this after a waypoint is told as taken: no leg is for it alone."""
 _SLOW_PLANNER_S = 1.0
 _OFF_HEIGHT_S = 3.0
 """Vehicle time for which the drone may be far from its height."""
@@ -291,19 +293,21 @@ class Patrol:
     def _snapshot(self, tally: Tally, now_s: float) -> Snapshot:
         """What the planner is told, as it will be at the waypoint that the drone is about to reach.
 
-        It is asked a little before, so that the drone need not stop there.
+        It is asked a little before, so that the drone need not stop there. Corners are cut, so
+        what is flown then is not known exactly: a picture due just after it counts as taken at it.
         """
-        flown_au = tally.flown_m / self._frame.side_m
-        ahead_au = max(self._carrot.remaining_m, 0.0) / self._frame.side_m
+        ahead_au = self._carrot.remaining_m / self._frame.side_m
+        flown_au = tally.flown_m / self._frame.side_m + ahead_au
+        due_au = until_measurement_au(flown_au)
         return Snapshot(
             time_au=self._frame.s_to_au(now_s - tally.start_s) + ahead_au,
-            flown_au=flown_au + ahead_au,
+            flown_au=flown_au + (due_au if due_au < _NEXT_PICTURE_AU else 0.0),
             position_au=self._waypoint_au.copy(),
             node=self._node,
             sightings=self._observer.belief.sightings,
             belief=self._observer.belief,
             roadmap=self._roadmap,
-            remaining_au=max(self._mission.horizon_au - flown_au - ahead_au, 0.0),
+            remaining_au=max(self._mission.horizon_au - flown_au, 0.0),
         )
 
     def progress(self, phase: str) -> Progressed:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import json
+import math
 import sys
 import threading
 from collections.abc import Callable
@@ -34,6 +35,7 @@ from dronemon.events import Decided, Event, Measured, Noted, Pictured, Progresse
 from dronemon.guard import TABLE, Advice, Reason, Situation
 from dronemon.mission import load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
+from dronemon.planner.motion import step_towards, until_measurement_au
 from dronemon.recorder import _json_line
 from dronemon.roadmap import Roadmap
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, supervisor
@@ -213,6 +215,28 @@ def test_every_picture_of_a_horizon_is_taken(flight):
         assert sum(isinstance(event, kind) for event in flight.record.events) == 8
     assert result.tally.flown_m == pytest.approx(80.0, abs=1.0)
     assert any(isinstance(event, Decided) for event in flight.record.events)
+
+
+def test_a_planner_that_steps_to_the_next_picture_is_not_asked_for_centimetres(flight):
+    corners_au = [np.array(corner) for corner in ([0.2, 0.2], [0.8, 0.3], [0.3, 0.5])]
+
+    def step(snapshot: Snapshot) -> Waypoint:
+        here_au = snapshot.position_au
+        if math.dist(here_au, corners_au[0]) < 1e-3:
+            corners_au.append(corners_au.pop(0))
+        step_au = until_measurement_au(snapshot.flown_au)
+        return Waypoint(position_au=step_towards(here_au, corners_au[0], step_au))
+
+    flight.planner.next_waypoint = step
+    flight.mission_text = LONGER.replace("speed_m_s: 5", "speed_m_s: 12")
+    assert flight.fly().outcome == "completed"
+    legs_au = [
+        math.dist(event.position_au, event.waypoint_au)
+        for event in flight.record.events
+        if isinstance(event, Decided)
+    ]
+    assert len(legs_au) < 3 * 40
+    assert np.median(legs_au) > 0.05
 
 
 def test_pictures_of_another_size_are_refused_on_the_ground(flight):
