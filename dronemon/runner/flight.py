@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 
@@ -69,8 +70,18 @@ async def fly_mission(setup: FlightSetup) -> FlightResult:
 
     `rehearse` comes first, or what is compiled and loaded in flight will hold up the setpoints.
     Never raises a DronemonError: what went wrong is in the result, after the drone came home.
+    Cancelling it is a person's interrupt: nobody walks away from a drone, and the result comes.
     """
-    return await _Flight(setup).run()
+    caller = asyncio.current_task()
+    assert caller is not None
+    flight = asyncio.create_task(_Flight(setup).run(), name="flight")
+    while not flight.done():
+        try:
+            await asyncio.wait([flight])
+        except asyncio.CancelledError:
+            caller.uncancel()
+            setup.interrupts.request()
+    return flight.result()
 
 
 class _Flight:
@@ -96,7 +107,7 @@ class _Flight:
         supervisor = self._supervisor
         async with contextlib.AsyncExitStack() as self._exit:  # closes the camera
             async with asyncio.TaskGroup() as self._meanwhile:
-                listening = self._meanwhile.create_task(self._tell_texts(), name="texts")
+                listening = self._beside(self._tell_texts, "texts")
                 try:
                     if await supervisor.carry_out(
                         State.PREPARING, self._prepare
@@ -227,14 +238,19 @@ class _Flight:
         try:
             await self._patrol.run()
         finally:
-            rest = self._look_at_the_rest(self._patrol)
-            self._rest = self._meanwhile.create_task(rest, name="rest")
+            self._rest = self._beside(self._patrol.look_at_the_rest, "the last picture")
 
-    async def _look_at_the_rest(self, patrol: Patrol) -> None:
-        try:
-            await patrol.look_at_the_rest()
-        except Exception as exc:  # noqa: BLE001 - nothing may disturb the way home
-            self._events.note("failure", f"the last picture was lost: {exc!r}", level="WARN")
+    def _beside(self, what: Callable[[], Awaitable[None]], name: str) -> asyncio.Task[None]:
+        """Do something beside the flight; if it fails, the flight goes on."""
+
+        async def do() -> None:
+            try:
+                await what()
+            except Exception as exc:  # noqa: BLE001 - it would cancel the way home
+                with contextlib.suppress(RecordError):  # the patrol's next line meets it too
+                    self._events.note("failure", f"{name} lost: {exc!r}", level="WARN")
+
+        return self._meanwhile.create_task(do(), name=name)
 
     async def _leave_in_hold(self) -> None:
         """After our flight: PX4 would else want OFFBOARD again, in which it cannot be armed."""

@@ -26,12 +26,9 @@ BLIND_LIMIT_S = 30.0
 _BLIND_PICTURES = 3
 """... and number of pictures that must have failed by then."""
 _MAX_PENDING = 8
+"""Pictures that wait to be looked at; while there are so many, none is taken."""
 _LOOK_LIMIT_S = 3.0
 """Wall time for the detector."""
-
-
-Shot = tuple[Picture, Pose]
-"""A picture and the pose that it was taken from."""
 
 
 class Observer:
@@ -49,7 +46,7 @@ class Observer:
         self._names = tuple(target.name for target in self._mission.targets)
         self._appearances = [target.appearance for target in self._mission.targets]
         self._grid_au = belief_grid_au()
-        self._unseen: deque[Shot] = deque()  # taken and not yet looked at
+        self._unseen: deque[tuple[Picture, Pose]] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
         self._blind_since_s: float | None = None
         self._num_blind = 0
@@ -63,6 +60,11 @@ class Observer:
         """Whether a picture is due or under way."""
         return self._is_taking or self._due.is_set()
 
+    @property
+    def has_unseen(self) -> bool:
+        """Whether a picture waits to be looked at."""
+        return bool(self._unseen)
+
     def is_blind(self, now_s: float) -> bool:
         """Whether pictures have said nothing for too long."""
         since_s = self._blind_since_s
@@ -73,22 +75,20 @@ class Observer:
         """A picture is due now."""
         self._due.set()
 
-    def resume(self) -> asyncio.Queue[Shot | None]:
-        """Forget how long nothing was seen, but not what was taken. -> what is to be done"""
+    def resume(self) -> None:
+        """Forget how long nothing was seen, but not what was taken."""
         self._blind_since_s, self._is_taking = None, False
         self._due.clear()
-        work: asyncio.Queue[Shot | None] = asyncio.Queue(_MAX_PENDING + len(self._unseen))
-        for shot in self._unseen:
-            work.put_nowait(shot)
-        return work
 
-    async def photograph(self, work: asyncio.Queue[Shot | None]) -> None:
-        """Take every picture that is asked for, and hand it on."""
+    async def photograph(self, work: asyncio.Event) -> None:
+        """Take every picture that is asked for, and say that there is work."""
         while True:
             await self._due.wait()
             self._due.clear()
             self._is_taking = True
             try:
+                if len(self._unseen) >= _MAX_PENDING:
+                    raise CameraError(f"the detector is slow: {_MAX_PENDING} pictures wait for it")
                 picture = await self._setup.camera.capture()
                 now_s, last_s = self._link.time_s, self._pictured_s
                 check_picture(picture, self._mission.camera.model, now_s, last_s)
@@ -97,9 +97,8 @@ class Observer:
                 self._miss(exc)
             else:
                 self._pictured_s = picture.time_s
-                shot = picture, interpolate_pose(*poses, picture.time_s)
-                self._unseen.append(shot)
-                await work.put(shot)
+                self._unseen.append((picture, interpolate_pose(*poses, picture.time_s)))
+                work.set()
             finally:
                 self._is_taking = False
 
@@ -114,12 +113,12 @@ class Observer:
     async def look_at_the_rest(self) -> None:
         """Look at the pictures that were taken and not yet looked at when the patrol ended."""
         while self._unseen:
-            await self.look(self._unseen[0])
+            await self.look()
 
-    async def look(self, shot: Shot) -> None:
+    async def look(self) -> None:
         """Look at the oldest picture taken. One that says nothing is told, and counts."""
         try:
-            await self._look(*shot)
+            await self._look(*self._unseen[0])
         except CameraError as exc:
             self._unseen.popleft()
             self._miss(exc)

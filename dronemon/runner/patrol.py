@@ -1,8 +1,8 @@
 """The patrol: fly from waypoint to waypoint, take a picture every 0.1 au, believe, choose, go on.
 
 Three tasks share it. `_guide` answers every pose with a setpoint, and says when a picture or a
-waypoint is due; `_photograph` takes the picture at that moment; `_watch` looks at pictures and asks
-the planner, one after the other, in threads.
+waypoint is due; the observer takes the picture at that moment; `_watch` asks the planner, if a
+waypoint is due, or looks at the oldest picture, one after the other, in threads.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SETPOINT_INTERVAL_S = 0.05
 _STILL: Point = (0.0, 0.0)
 _NEXT_PICTURE_AU = 0.03
 """A picture due no farther than this after a waypoint is told as taken: no leg is for it alone."""
-_SLOW_PLANNER_S = 1.0
+_SLOW_S = 1.0
 _OFF_HEIGHT_S = 3.0
 """Vehicle time for which the drone may be far from its height."""
 _CLIMB_LIMIT_S = 120.0
@@ -73,7 +73,8 @@ class Patrol:
         self._last_pose: Pose | None = None
         self._last_setpoint_s = -math.inf
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
-        self._is_waypoint_asked = self._is_slowness_told = False
+        self._is_waypoint_due = self._is_planner_asked = self._is_slowness_told = False
+        self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
         self._at_height_s = 0.0
         self._drag = Drag()
         self.tally: Tally | None = None
@@ -84,8 +85,9 @@ class Patrol:
         Raises what the vehicle, the camera, the planner or the recorder raise.
         """
         self._last_pose, self._waiting_since = None, None
-        self._is_waypoint_asked = False
-        self._work = self._observer.resume()
+        self._is_waypoint_due = self._is_planner_asked = False
+        self._observer.resume()
+        self._work.set()
         place_m = self._link.pose.position_ned_m[:2]
         await self._link.start_offboard(self._setpoint(place_m))
         if not await self._come_to_height(place_m):
@@ -201,25 +203,29 @@ class Patrol:
         if self._waiting_since is None:
             return False
         since_s, since = self._waiting_since
-        if not self._is_slowness_told and pose.time_s > since_s + _SLOW_PLANNER_S:
+        if not self._is_slowness_told and pose.time_s > since_s + _SLOW_S:
             self._is_slowness_told = True
+            who = "planner" if self._is_planner_asked else "detector"
             what = f"no waypoint yet: the drone stays there for {PLANNER_LIMIT_S:g} s at most"
-            self._events.note("planner slow", what, level="WARN")
+            self._events.note(f"{who} slow", what, level="WARN")
         return (
             pose.time_s > since_s + PLANNER_LIMIT_S
             and asyncio.get_running_loop().time() > since + PLANNER_LIMIT_WALL_S
         )
 
     def _ask_for_waypoint(self, pose: Pose) -> None:
-        if not self._carrot.needs_waypoint:
-            self._is_waypoint_asked = self._is_slowness_told = False
-            self._waiting_since = None
+        self._is_waypoint_due = self._carrot.needs_waypoint
+        if not self._is_waypoint_due:
+            self._waiting_since, self._is_planner_asked = None, False
             return
         if self._waiting_since is None:
-            self._waiting_since = pose.time_s, asyncio.get_running_loop().time()
-        if not self._is_waypoint_asked and not self._work.full():
-            self._is_waypoint_asked = True
-            self._work.put_nowait(None)
+            self._wait_from(pose)
+        self._work.set()
+
+    def _wait_from(self, pose: Pose) -> None:
+        """Count from here how long there is none: it has become due, or the planner is asked."""
+        self._waiting_since = pose.time_s, asyncio.get_running_loop().time()
+        self._is_slowness_told = False
 
     def _ask_for_picture(self, pose: Pose) -> None:
         tally = self.tally
@@ -239,11 +245,20 @@ class Patrol:
 
     async def _watch(self) -> None:
         while True:
-            work = await self._work.get()
-            if work is None:
+            if self._is_waypoint_due:
+                if not self._is_planner_asked:
+                    self._is_planner_asked = True
+                    self._wait_from(self._link.pose)
+                end_m = self._carrot.end_m
                 await self._choose()
+                self._is_waypoint_due = False  # or the next setpoint says so again
+                if self._carrot.end_m != end_m:
+                    self._waiting_since, self._is_planner_asked = None, False
+            elif self._observer.has_unseen:
+                await self._observer.look()
             else:
-                await self._observer.look(work)
+                self._work.clear()
+                await self._work.wait()
 
     async def look_at_the_rest(self) -> None:
         """Look at the pictures that were taken and not yet looked at when the patrol ended."""
@@ -277,7 +292,6 @@ class Patrol:
         self.tally.decision_ms.append(decision_ms)
         self._carrot.extend(_point(self._frame.au_to_ned(waypoint_au)))
         self._waypoint_au, self._node = waypoint_au, waypoint.node
-        self._is_waypoint_asked = False
 
     def _decide(self, snapshot: Snapshot) -> Waypoint:
         """The planner's choice, judged, its details as they can be recorded; runs in a thread."""

@@ -42,8 +42,9 @@ LOST_LINK_LIMIT_S = 120.0
 """Wall time for a lost link to come back; the autopilot flies home by itself meanwhile."""
 PLANNER_LIMIT_S = 20.0
 """Vehicle time that the drone holds at a waypoint for the next one, before it returns."""
-PLANNER_LIMIT_WALL_S = 1.0
-"""And wall time, so that a busy machine ends no flight of a simulator that runs faster."""
+PLANNER_LIMIT_WALL_S = 5.0
+"""And wall time, so that a busy machine ends no flight of a simulator that runs faster; the
+detector, which a planner may have to wait for, gives up before."""
 FAILSAFE_HOLD_LIMIT_S = 8.0
 """Vehicle time of a failsafe's hold: PX4 acts after COM_FAIL_ACT_T, 5 s by default."""
 DISARM_LIMIT_S = 5.0
@@ -163,7 +164,7 @@ class Supervisor:
             await step
         except Interrupted:
             return  # the guard sees that a person asked
-        except Exception as exc:
+        except (Exception, asyncio.CancelledError) as exc:
             if isinstance(exc, DronemonError):
                 problem = exc
             else:

@@ -89,7 +89,7 @@ class Telemetry:
             if self._is_late(name, fields):
                 return
             self._handlers[name](fields)
-        except (LookupError, TypeError, ValueError):
+        except Exception:  # noqa: BLE001 - no message may end a flight
             self._update(num_unreadable=self._state.num_unreadable + 1)
         else:
             self._heard_s[name] = self.time_s

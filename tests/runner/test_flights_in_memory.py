@@ -39,6 +39,7 @@ from dronemon.planner.motion import step_towards, until_measurement_au
 from dronemon.recorder import _json_line
 from dronemon.roadmap import Roadmap
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, supervisor
+from dronemon.runner.flight import DOWN, NOT_STARTED
 from dronemon.vehicle import Mode
 
 MISSION = """
@@ -124,6 +125,7 @@ class Flight:
 
     async def _fly(self, faults: tuple[str, ...], options: dict[str, Any]) -> FlightResult:
         self.path.write_text(self.mission_text)
+        self.task = asyncio.current_task()
         async with FakeLink(faults=faults, **options) as self.link:
             self.on_link(self.link)
             return await fly_mission(
@@ -414,6 +416,31 @@ def test_a_bad_detector_brings_the_drone_home(flight, detect, words):
     _comes_home(flight, result)
 
 
+def _takes(duration_s: float) -> Callable[..., tuple[()]]:
+    """A detector that finds nothing, and needs so long for it."""
+
+    def detect(*_: object) -> tuple[()]:
+        is_over = threading.Event()
+        loop.call_soon_threadsafe(loop.call_later, duration_s, is_over.set)
+        virtual_time.let_time_pass()
+        is_over.wait()
+        return ()
+
+    loop = asyncio.get_running_loop()
+    return detect
+
+
+def test_a_slow_detector_is_not_blamed_on_the_planner(flight):
+    """A waypoint that is due waits for one picture at most, and the planner's time counts then."""
+    flight.on_link = lambda link: setattr(flight.detector, "detect", _takes(2.9))
+    flight.mission_text = LONGER.replace("speed_m_s: 5", "speed_m_s: 12").replace("au: 4", "au: 2")
+    result = flight.fly()
+    assert (result.outcome, result.error) == ("completed", None)
+    assert "detector slow" in flight.record.kinds
+    assert "planner slow" not in flight.record.kinds
+    assert flight.record.texts("8 pictures wait") > 0
+
+
 def test_a_dead_camera_brings_the_drone_home_after_a_while(flight):
     flight.mission_text = LONGER
     result = flight.fly("camera@12")
@@ -667,6 +694,39 @@ def test_a_fault_of_our_own_ends_nothing_either(flight, monkeypatch):
     flight.when("patrol", lambda: monkeypatch.setattr(FakeLink, "next_pose", fail))
     result = flight.fly()
     assert "a fault of this program: TypeError" in str(result.error)
+    _comes_home(flight, result)
+
+
+@pytest.mark.parametrize("kind", ["ready", "airborne", "patrol", "homecoming", "outcome"])
+def test_a_flight_that_is_cancelled_is_seen_through(flight, kind):
+    """It is a person's interrupt: the drone comes home, and how it ended is known."""
+    flight.when(kind, lambda: flight.task.cancel())
+    result = flight.fly()
+    is_over = kind in {"homecoming", "outcome"}
+    assert result.outcome == ("completed" if is_over else "interrupted")
+    assert result.last_word == (NOT_STARTED if kind == "ready" else DOWN)
+    assert flight.record.kinds[-1] == "outcome"
+
+
+def test_what_goes_on_beside_a_flight_ends_nothing(flight, monkeypatch):
+    async def fail(self: FakeLink) -> None:
+        await self.wait_until(lambda: self.state.mode is Mode.OFFBOARD, "patrol", 100.0)
+        raise TypeError("not a text")
+
+    monkeypatch.setattr(FakeLink, "next_texts", fail)
+    result = flight.fly()
+    assert flight.record.texts("TypeError") == 1
+    assert (result.outcome, result.error) == ("completed", None)
+
+
+def test_a_step_that_is_cancelled_from_within_is_a_fault_of_our_own(flight, monkeypatch):
+    def fail(self: FakeLink) -> None:
+        monkeypatch.undo()
+        raise asyncio.CancelledError
+
+    flight.when("patrol", lambda: monkeypatch.setattr(FakeLink, "next_pose", fail))
+    result = flight.fly()
+    assert "a fault of this program: CancelledError" in str(result.error)
     _comes_home(flight, result)
 
 
