@@ -124,6 +124,8 @@ CASES = {
     "pictures blank": Case(("blank@{t}+10",), spoils_pictures=True),
     "pictures repeated": Case(("repeat@{t}+10",), spoils_pictures=True),
     "pictures misdated": Case(("misdate=100@{t}+10",), spoils_pictures=True),
+    "animals hidden": Case(("hide=0.5@{t}+10",)),
+    "decoys": Case(("decoy=0.5@{t}+10",)),
     "planner raises": Case(planner="faulty_planners:Raising", moments=("patrol",)),
     "planner slow": Case(planner="faulty_planners:Slow", moments=("patrol",)),
     "planner hangs": Case(planner="faulty_planners:Hanging", moments=("patrol",)),

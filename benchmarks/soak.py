@@ -34,6 +34,7 @@ FAULTS = (
     *("loss=0.2+10", "delay=0.2+10", "duplicate=1.5+10", "reorder=0.3+10", "corrupt=0.1+10"),
     *("silence+2", "ignore+0.5", "gps+3", "jump=5+20", "pilot+8"),
     *("camera+8", "torn+5", "blank+5", "repeat+5", "late=1+5", "misdate=100+5"),
+    *("hide=0.5+20", "decoy=0.5+20"),
 )
 MEMORY_LIMIT = 0.05
 _FAULT_EVERY_S = (100.0, 160.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import struct
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +15,7 @@ import numpy as np
 
 from dronemon.types import CameraModel, ImageArray
 from sim.renderer import Renderer
-from sim.scene import Scene
+from sim.scene import Scene, with_faults
 
 REQUEST = b"SHOT"
 ANSWER = struct.Struct("!4sdI")
@@ -46,6 +47,7 @@ class CameraServer:
         self.silent = False
         self._camera = camera
         self._seed = seed
+        self._rng = random.Random(seed)
         self._scene = scene
         self._on_capture = on_capture
         self._faults = faults
@@ -104,7 +106,8 @@ class CameraServer:
         scene = self._scene()
         self._on_capture(scene)
         loop = asyncio.get_running_loop()
-        jpeg = await loop.run_in_executor(self._thread, self._photograph, scene)
+        shown = with_faults(scene, self._faults, self._rng)
+        jpeg = await loop.run_in_executor(self._thread, self._photograph, shown)
         if "torn" in self._faults:
             jpeg = jpeg[: len(jpeg) // 2]
         due_s = scene.pose.time_s + self._faults.get("late", 0.0)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from dronemon.frames import AreaFrame
+from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import Pose
 
 
@@ -26,3 +30,19 @@ class Scene:
     pose: Pose
     frame: AreaFrame
     animals: tuple[Animal, ...]
+
+
+def with_faults(scene: Scene, faults: Mapping[str, float], rng: random.Random) -> Scene:
+    """The scene as a picture shows it: with animals out of sight, or one that is not there.
+
+    faults: kinds that are active now -> value
+    """
+    animals = [a for a in scene.animals if rng.random() >= faults.get("hide", 0.0)]
+    if rng.random() < faults.get("decoy", 0.0):
+        north_m, east_m, _ = scene.pose.position_ned_m
+        away_m = SENSOR_RADIUS_AU * scene.frame.side_m * math.sqrt(rng.random())
+        way_rad, heading_rad = rng.uniform(0.0, math.tau), rng.uniform(0.0, math.tau)
+        place = north_m + away_m * math.cos(way_rad), east_m + away_m * math.sin(way_rad)
+        like = rng.choice(scene.animals)
+        animals.append(replace(like, position_ned_m=place, heading_rad=heading_rad))
+    return replace(scene, animals=tuple(animals))

@@ -45,6 +45,8 @@ KINDS = {
     "blank": FaultKind(what="pictures are black"),
     "repeat": FaultKind(what="the last picture comes again and again"),
     "misdate": FaultKind(what="pictures are stamped VALUE seconds off", values=(-1000.0, 1000.0)),
+    "hide": FaultKind(what="a share VALUE of animals is out of sight in pictures", values=_SHARE),
+    "decoy": FaultKind(what="a share VALUE of pictures shows an animal too many", values=_SHARE),
 }
 _PARAMETER = FaultKind(
     what="the autopilot's parameter is VALUE", values=(-math.inf, math.inf), is_lasting=False

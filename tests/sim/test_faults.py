@@ -27,7 +27,7 @@ from sim.flight import MockFlight
 from sim.line import FaultyLine
 from sim.link import MavlinkLink
 from sim.modes import Px4Mode
-from sim.scene import Scene
+from sim.scene import Scene, with_faults
 from sim.world import World
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -332,6 +332,45 @@ def test_pictures_are_late() -> None:
         assert second.time_s - first.time_s > 3.0
 
     pictures({"late": 3.0}, story)
+
+
+def test_some_animals_are_hidden_and_some_are_not_there() -> None:
+    mission = make_mission()
+    true = MockFlight(mission, World(mission)).scene()
+    rng = random.Random(1)
+    shown = [with_faults(true, {"hide": 0.3, "decoy": 0.6}, rng).animals for _ in range(1000)]
+    decoys = [a for animals in shown for a in animals if a not in true.animals]
+    num_true = sum(map(len, shown)) - len(decoys)
+    assert num_true == pytest.approx(700 * len(true.animals), rel=0.1)
+    assert len(decoys) == pytest.approx(600, rel=0.1)
+    below, reach_m = true.pose.position_ned_m[:2], 0.1 * true.frame.side_m
+    assert all(math.dist(decoy.position_ned_m, below) <= reach_m for decoy in decoys)
+    assert {decoy.appearance for decoy in decoys} == {a.appearance for a in true.animals}
+    assert with_faults(true, {}, rng) == true
+
+
+def test_the_camera_hides_animals_from_its_pictures_alone() -> None:
+    mission = make_mission()
+    simulation = MockFlight(mission, World(mission))
+    above = simulation.scene()
+    north_m, east_m = above.animals[0].position_ned_m
+    pose = replace(above.pose, position_ned_m=(north_m, east_m, above.frame.ground_down_m - 15.0))
+    taken: list[Scene] = []
+    images = []
+
+    async def tell(faults: dict[str, float]) -> None:
+        scene = replace(above, pose=pose)
+        async with (
+            CameraServer(SIZE, 1, lambda: scene, taken.append, faults) as server,
+            SimulatedCamera(f"tcp://127.0.0.1:{server.port}", 2.0) as camera,
+        ):
+            images.append((await camera.capture()).image)
+
+    for faults in ({}, {"hide": 1.0}, {}):
+        asyncio.run(tell(faults))
+    np.testing.assert_array_equal(images[0], images[2])
+    assert (images[0] != images[1]).any()
+    assert taken[0] == taken[1], "the truth is told"
 
 
 def test_a_picture_is_repeated() -> None:
