@@ -69,7 +69,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
         simulated: Follower | MockFlight
         if options.follow is not None:
             listed = mission_faults(mission, parse_camera_fault)
-            simulated = Follower(world, options.follow, listed)
+            simulated = Follower(world, options.follow, (*listed, *options.fault))
             await stack.enter_async_context(simulated)
         else:
             simulated = MockFlight(mission, world, tuple(options.fault))
@@ -81,8 +81,8 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
         else:
             vehicle = simulated.run(options.speed_up or mission.vehicle.speed_up)
         if options.parent:
-            parse = parse_vehicle_fault if options.follow is None else parse_camera_fault
-            told = (loop, stop, partial(_add_fault, simulated.faults, parse))
+            add_fault = partial(_add_fault, simulated.faults, _parser_of_faults(options))
+            told = (loop, stop, add_fault)
             threading.Thread(target=_listen_to_parent, args=told, daemon=True).start()
         async with camera, asyncio.TaskGroup() as tasks:
             running = tasks.create_task(vehicle, name="vehicle")
@@ -138,11 +138,11 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the truth there")
     parser.add_argument(
         "--fault",
-        type=_checked(parse_vehicle_fault),
         action="append",
         default=[],
         metavar="KIND[=VALUE][@SECONDS][+DURATION]",
-        help="a fault, at once or in vehicle seconds after arming; may be repeated",
+        help="a fault, at once or in vehicle seconds after arming; may be repeated; of the camera "
+        "alone with --follow",
     )
     parser.add_argument(
         "--follow",
@@ -160,9 +160,22 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.follow is None and not options.mavlink_out:
         parser.error("nobody would hear the autopilot: give --mavlink-out or --follow")
-    if options.follow is not None and (options.mavlink_out or options.fault or options.speed_up):
-        parser.error("--follow has no autopilot: --mavlink-out, --fault, --speed-up do not apply")
+    if options.follow is not None and (
+        options.mavlink_out or options.speed_up or options.signing_key
+    ):
+        parser.error(
+            "--follow has no autopilot: --mavlink-out, --speed-up, --signing-key do not apply"
+        )
+    try:
+        options.fault = [_parser_of_faults(options)(text) for text in options.fault]
+    except ValueError as exc:
+        parser.error(f"--fault: {exc}")
     return options
+
+
+def _parser_of_faults(options: argparse.Namespace) -> Callable[[str], Fault]:
+    """Reads a fault of what is simulated."""
+    return parse_vehicle_fault if options.follow is None else parse_camera_fault
 
 
 _T = TypeVar("_T")
