@@ -19,6 +19,7 @@ LAYERS = {
     "mission": 0,
     "card": 0,
     "workers": 0,
+    "terminal": 0,
     "sightings": 1,
     "belief": 1,
     "roadmap": 1,
@@ -40,7 +41,6 @@ LAYERS = {
     "cli": 5,
     "preflight": 5,
     "simulator": 5,
-    "terminal": 5,
 }
 ORDER_IN_LAYER_0 = (
     "errors",
@@ -54,6 +54,7 @@ ORDER_IN_LAYER_0 = (
     "mission",
     "card",
     "workers",
+    "terminal",
 )
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
 PLACES = {
@@ -124,6 +125,12 @@ def test_foreign_packages_stay_in_their_place():
         if {n.split(".")[0] for n in _imports(path)} & {foreign} and importer not in places
     ]
     assert wrong == []
+
+
+def test_only_one_kind_of_console_is_written_to():
+    """It keeps from terminals what commands them."""
+    makers = {importer for importer, path in _sources() if "rich.console.Console" in _imports(path)}
+    assert makers == {"terminal"}
 
 
 def test_application_and_simulator_meet_only_outside():

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, TypeVar, cast
 
 import typer
-from rich.console import Console
 
 from dronemon.errors import OptionError
 from dronemon.evaluation.evaluate import evaluate
@@ -21,6 +20,7 @@ from dronemon.evaluation.options import (
     PlannerSpec,
 )
 from dronemon.problem import Prior
+from dronemon.terminal import LenientConsole, console
 from dronemon.workers import num_cores
 
 T = TypeVar("T")
@@ -113,12 +113,11 @@ def evaluate_command(
 
 def _evaluate(options: Options) -> None:
     """Run an evaluation, and say where its results lie or how it goes on."""
-    console = Console()
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     try:
         evaluate(options, console)
     except KeyboardInterrupt:
-        Console(stderr=True).print(
+        LenientConsole(stderr=True).print(
             f"stopped; finished episodes are in {options.out}, and the same command goes on from"
             " there",
             soft_wrap=True,

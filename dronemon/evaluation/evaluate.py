@@ -10,7 +10,6 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dronemon.errors import RecordError
@@ -19,6 +18,7 @@ from dronemon.evaluation.options import EpisodeSpec, Options, PlannerSpec
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, append_result, load_results
 from dronemon.planner import Planner, create_planner
+from dronemon.terminal import LenientConsole
 from dronemon.version import code_version
 from dronemon.workers import share_out
 from dronemon.world import Instance
@@ -27,7 +27,7 @@ PUBLISHED_CONDITIONS = (30.0, 200)
 """Horizon in au and number of nodes of the paper's Table I."""
 
 
-def evaluate(options: Options, console: Console | None = None) -> list[Result]:
+def evaluate(options: Options, console: LenientConsole | None = None) -> list[Result]:
     """Fly all episodes that the output folder does not hold yet, and write what they show.
 
     The folder gets results.jsonl, table.csv, table.md, paired.csv, figures, and with
@@ -36,7 +36,7 @@ def evaluate(options: Options, console: Console | None = None) -> list[Result]:
 
     Raises OptionError, RecordError, WorkerError, and what planners raise.
     """
-    console = console if console is not None else Console(stderr=True)
+    console = console if console is not None else LenientConsole(stderr=True)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
@@ -95,7 +95,7 @@ def _draw(results: Sequence[Result], options: Options) -> None:
     draw_overview(episode, instant, f"{method}: {title}", options.out / "overview.png")
 
 
-def _warn_of_other_code(kept: Sequence[Result], path: Path, console: Console) -> None:
+def _warn_of_other_code(kept: Sequence[Result], path: Path, console: LenientConsole) -> None:
     """Say so if finished episodes that this run takes over were not flown by the code that runs."""
     others = [result.code for result in kept if result.code != code_version()]
     if others:

@@ -12,9 +12,9 @@ from typing import Annotated
 
 import torch
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from dronemon.terminal import LenientConsole
 from dronemon.training.recipe import load_recipe
 from dronemon.training.train import METRICS, Listener, Plan, train
 from dronemon.workers import num_cores
@@ -74,7 +74,7 @@ def train_command(
     _keep_freed_memory()
     if "WORLD_SIZE" in os.environ:
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
-    console = Console(quiet=os.environ.get("RANK", "0") != "0")
+    console = LenientConsole(quiet=os.environ.get("RANK", "0") != "0")
     with _display(console) as display:
         best = train(plan, command=_command(), listen=display)
     if best.exists():
@@ -100,7 +100,7 @@ def _keep_freed_memory() -> None:
 
 
 @contextmanager
-def _display(console: Console) -> Iterator[Listener]:
+def _display(console: LenientConsole) -> Iterator[Listener]:
     """A progress bar over the time budget, and a line for each iteration."""
     percent = TextColumn("{task.percentage:3.0f} %")
     columns = TextColumn("training"), BarColumn(), percent, TimeRemainingColumn()

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from rich.console import Console
 from typer.testing import CliRunner
 
 from dronemon.belief import episode_metrics
@@ -22,9 +21,10 @@ from dronemon.evaluation.command import evaluate_command
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import Options, PlannerSpec
 from dronemon.evaluation.results import Result, load_results
+from dronemon.terminal import LenientConsole
 from dronemon.version import code_version
 
-QUIET = Console(quiet=True)
+QUIET = LenientConsole(quiet=True)
 PROGRAM = (
     "import typer; from dronemon.evaluation.command import evaluate_command; "
     "app = typer.Typer(); app.command()(evaluate_command); app()"
@@ -137,7 +137,7 @@ def test_episodes_of_other_code_are_kept_and_named(tmp_path: Path) -> None:
     records[0]["code"] = "0.1.0+0123456789"
     del records[1]["code"]  # as written before results named it
     path.write_text("".join(json.dumps(record) + "\n" for record in records))
-    console = Console(file=io.StringIO())
+    console = LenientConsole(file=io.StringIO())
     again = evaluate(options(tmp_path, instances=3), console)
     assert outcome(again)[:4] == outcome(first)
     printed = console.file.getvalue()  # type: ignore[attr-defined]
@@ -151,7 +151,7 @@ def test_episodes_of_other_code_are_kept_and_named(tmp_path: Path) -> None:
 @without_figures
 def test_episodes_of_the_same_code_give_no_warning(tmp_path: Path) -> None:
     evaluate(options(tmp_path), QUIET)
-    console = Console(file=io.StringIO())
+    console = LenientConsole(file=io.StringIO())
     evaluate(options(tmp_path), console)
     assert "warning" not in console.file.getvalue()  # type: ignore[attr-defined]
 
