@@ -51,6 +51,7 @@ class FaultSchedule:
     def __init__(self, faults: Iterable[Fault], switch: Switch = lambda *_: None) -> None:
         self._on_switch = switch
         self._waiting = list(faults)
+        self._armed_at_s: float | None = None
         self._ending: list[tuple[float, str]] = []
         self.active: dict[str, float] = {}
 
@@ -58,12 +59,14 @@ class FaultSchedule:
         """Have one more."""
         self._waiting.append(fault)
 
-    def advance(self, time_s: float, armed_at_s: float | None) -> None:
-        """Do everything that is due at a time, with the vehicle first armed at another."""
+    def advance(self, time_s: float, is_armed: bool) -> None:
+        """Do everything that is due at a time; some counts from when it was first armed."""
+        if self._armed_at_s is None and is_armed:
+            self._armed_at_s = time_s
         for fault in list(self._waiting):
             begins_s = time_s
             if fault.at_s is not None:
-                begins_s = math.inf if armed_at_s is None else armed_at_s + fault.at_s
+                begins_s = math.inf if self._armed_at_s is None else self._armed_at_s + fault.at_s
             if begins_s <= time_s:
                 self._waiting.remove(fault)
                 self._switch(fault.kind, fault.value)

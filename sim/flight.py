@@ -64,7 +64,6 @@ class MockFlight:
         self._links: list[MavlinkLink] = []
         self._line_rng = _stream(mission, "line")
         self._time_s = 0.0
-        self._armed_at_s: float | None = None
         listed = mission_faults(mission, parse_vehicle_fault)
         self.faults = FaultSchedule((*listed, *faults), self._switch)
 
@@ -114,9 +113,7 @@ class MockFlight:
         self._time_s += STEP_S
         autopilot = self.autopilot
         autopilot.step()
-        if self._armed_at_s is None and autopilot.commander.is_armed:
-            self._armed_at_s = self._time_s
-        self.faults.advance(self._time_s, self._armed_at_s)
+        self.faults.advance(self._time_s, autopilot.commander.is_armed)
         texts = list(autopilot.texts)
         autopilot.texts.clear()
         for link in self._links:

@@ -56,7 +56,6 @@ class Follower(asyncio.DatagramProtocol):
         self._vehicle_address: tuple[str, int] | None = None
         self._time_s = -math.inf
         self._is_armed = False
-        self._armed_at_s: float | None = None
         self.faults = FaultSchedule(faults)
         self._camera: CameraServer | None = None
         self._attitude: Any = None
@@ -110,9 +109,7 @@ class Follower(asyncio.DatagramProtocol):
         """Take what the vehicle sends (asyncio's callback)."""
         for message in self._mav.parse_buffer(data) or ():
             self._hear(message, addr)
-        if self._armed_at_s is None and self._is_armed:
-            self._armed_at_s = self._time_s
-        self.faults.advance(self._time_s, self._armed_at_s)
+        self.faults.advance(self._time_s, self._is_armed)
         if self._camera is not None:
             self._camera.silent = not self.is_ready
 

@@ -153,7 +153,6 @@ class FakeLink:
         self.commands: list[str] = []
         """Every command that was sent, heard or not."""
         self.num_setpoints = 0
-        self._armed_at_s: float | None = None
         self._loss_s, self._timeout_s = link_loss_timeout_s, command_timeout_s
         self._heartbeat_s, self._heartbeat_due_s = heartbeat_s, 0.0
         self._num_heartbeats, self._beat_at = 0, 0.0
@@ -209,9 +208,7 @@ class FakeLink:
     def _tick(self) -> None:
         vehicle = self.vehicle
         vehicle.step()
-        if vehicle.is_armed and self._armed_at_s is None:
-            self._armed_at_s = vehicle.time_s
-        self._faults.advance(vehicle.time_s, self._armed_at_s)
+        self._faults.advance(vehicle.time_s, vehicle.is_armed)
         if not self.is_silent:
             self._publish()
             self._changed.set()
@@ -275,14 +272,11 @@ class FakeLink:
         """Have the autopilot say something."""
         self._said.append(StatusText(severity=6, text=text))
 
-    def texts(self) -> list[StatusText]:
-        said, self._said = self._said, []
-        return said
-
     async def next_texts(self) -> list[StatusText]:
-        while not (said := self.texts()):
+        while not self._said:
             self._changed.clear()
             await self._changed.wait()
+        said, self._said = self._said, []
         return said
 
     @property

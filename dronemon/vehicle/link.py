@@ -160,11 +160,8 @@ class VehicleLink(Protocol):
     async def land(self) -> None:
         """Begin to land here, by the autopilot alone."""
 
-    def texts(self) -> list[StatusText]:
-        """What the autopilot said in words since the last call, or of `next_texts`."""
-
     async def next_texts(self) -> list[StatusText]:
-        """Wait, without a limit, until the autopilot says something."""
+        """Wait, without a limit, until the autopilot says something. -> all since the last call"""
 
     @property
     def heartbeat_age_s(self) -> float:

@@ -104,10 +104,6 @@ class MavsdkLink:
         """Wall time since the last heartbeat."""
         return self._heard.heartbeat_age_s
 
-    def texts(self) -> list[StatusText]:
-        """What the autopilot said in words since the last call."""
-        return self._telemetry.said()
-
     async def next_texts(self) -> list[StatusText]:
         """Wait, without a limit, until the autopilot says something."""
         return await self._heard.next_texts()

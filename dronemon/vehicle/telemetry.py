@@ -35,7 +35,6 @@ _UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message st
     "ESTIMATOR_STATUS": {"is_position_good": False},
 }
 _TRUSTED_S = 10.0
-_REPEATED_S = 10.0
 _STALE_POSITION_S = 0.5
 _POSES_KEPT = 512
 _FURTHEST_M, _FASTEST_M_S, _WIDEST_RAD = 1e6, 1e3, 4.0 * math.pi
@@ -172,7 +171,7 @@ class Telemetry:
         if status == before:
             return
         was_left_s = self._left_s.get(status, -math.inf)
-        if self.time_s - was_left_s < _REPEATED_S and doubted != status:
+        if self.time_s - was_left_s < LATE_MS / 1000.0 and doubted != status:
             self._doubted = status
             return
         self._left_s[before] = self.time_s

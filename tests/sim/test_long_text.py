@@ -25,12 +25,8 @@ def test_a_text_of_three_chunks_arrives_as_one():
             async with asyncio.timeout(30), MavsdkLink(f"udpin://127.0.0.1:{port}") as link:
                 await link.wait_ready(20.0)
                 mock.autopilot.say(5, LONG + "\t")
-
-                def is_heard() -> bool:
-                    said.extend(link.texts())
-                    return any(text.severity == 5 for text in said)
-
-                await link.wait_until(is_heard, "the text", 60.0)
+                while not any(text.severity == 5 for text in said):
+                    said.extend(await link.next_texts())
         finally:
             flying.cancel()
             mock.close_links()
