@@ -18,7 +18,7 @@ import socket
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import mavsdk
+from mavsdk import logging as mavsdk_logging
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, MavsdkConnectionError, MavsdkError
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkMessage
 from mavsdk.asyncio.system import System
@@ -89,7 +89,7 @@ class Wire:
     # Connecting
 
     async def _connect(self) -> None:
-        mavsdk.log_subscribe(_to_logging)
+        mavsdk_logging._cmavsdk_lib.mavsdk_log_subscribe(_LOG_CALLBACK, None)
         _check_port(self._url)
         configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
         self._own = (configuration.system_id, configuration.component_id)
@@ -288,7 +288,13 @@ def _check_port(url: str) -> None:
                 ) from exc
 
 
-def _to_logging(_level: mavsdk.LogLevel, message: str, _file: str | None, _line: int) -> bool:
-    """Pass what MAVSDK says to Python's logging, for whoever looks for it there."""
-    logging.getLogger("mavsdk").debug("%s", message)
-    return True
+def _to_logging(_level: int, message: bytes, _file: bytes, _line: int, _data: object) -> bool:
+    """Pass what MAVSDK says to Python's logging, for whoever looks for it there.
+
+    As bytes, which `mavsdk.log_subscribe` does not: it cites vehicles, whose texts may be anything.
+    """
+    logging.getLogger("mavsdk").debug("%r", message)
+    return True  # it does not print it itself
+
+
+_LOG_CALLBACK = mavsdk_logging.LogCallback(_to_logging)

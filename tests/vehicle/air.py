@@ -57,6 +57,9 @@ class Air:
     def says(self, text, severity=3):
         self._send((1, 1), mavlink.MAVLink_statustext_message(severity, text.encode(), 0, 0))
 
+    def throws(self, datagram):
+        self._socket.sendto(datagram, ("127.0.0.1", self.port))
+
     def commands(self):
         return [message.command for message in self.told if message.get_type() == "COMMAND_LONG"]
 
@@ -65,7 +68,7 @@ class Air:
 
     def _send(self, sender, message):
         packer = self._packers.setdefault(sender, mavlink.MAVLink(None, *sender))
-        self._socket.sendto(message.pack(packer), ("127.0.0.1", self.port))
+        self.throws(message.pack(packer))
         packer.seq = (packer.seq + 1) % 256
 
     def _hear(self):
@@ -96,7 +99,7 @@ class Air:
                 self._send((system, component), message())
             await asyncio.sleep(PERIOD_S)
 
-    def run(self, story, **options):
+    def run(self, story, limit_s=30.0, **options):
         """Tell a story with a link to what is in the air."""
 
         async def tell():
@@ -108,4 +111,4 @@ class Air:
                 speaking.cancel()
                 self._socket.close()
 
-        asyncio.run(asyncio.wait_for(tell(), 30.0))
+        asyncio.run(asyncio.wait_for(tell(), limit_s))
