@@ -96,6 +96,7 @@ def _addresses(pid: int) -> set[str]:
     return {row[1].split(":")[0] for row in rows if row[9] in inodes}
 
 
+@pytest.mark.slow
 def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
     options = ("--horizon-au", "1", "--speed-up", "8", "--view")
     flight = fly("--mission", "missions/animals.yaml", *options)
