@@ -78,6 +78,7 @@ class Reason(StrEnum):
     BATTERY_LOW = "the battery is at its limit"
     TIME_UP = "it has been in the air for as long as its battery is said to last until the return"
     OFF_HEIGHT = "the drone left its height by more than wind explains; it returns"
+    STUCK = "the drone makes no way, as against too strong a wind; it returns"
     BLIND = "no picture could be taken and read for too long; the drone returns"
     HORIZON = "the horizon is flown"
     PLANNER_LATE = "the planner gave no waypoint in time"
@@ -132,6 +133,7 @@ class Situation:
     is_battery_low: bool = False
     is_time_up: bool = False
     is_off_height: bool = False
+    is_stuck: bool = False
     is_blind: bool = False
     is_offboard: bool = False
     is_holding: bool = False
@@ -224,6 +226,7 @@ TABLE = (
     Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
     Row(_PATROLLING, lambda s: s.is_time_up, State.RETURNING, Action.LEAVE, Reason.TIME_UP),
     Row(_PATROLLING, lambda s: s.is_off_height, State.RETURNING, Action.LEAVE, Reason.OFF_HEIGHT),
+    Row(_PATROLLING, lambda s: s.is_stuck, State.RETURNING, Action.LEAVE, Reason.STUCK),
     Row(_PATROLLING, lambda s: s.is_blind, State.RETURNING, Action.LEAVE, Reason.BLIND),
     Row(_PATROLLING, lambda s: s.is_planner_late,
         State.RETURNING, Action.LEAVE, Reason.PLANNER_LATE),

@@ -133,8 +133,12 @@ class Carrot:
     def _pace(self, position_m: Point, tangent: Point, vehicle_m: Point) -> float:
         """Share of its speed at which the carrot goes on: it must not lead by too much."""
         north_m, east_m = position_m[0] - vehicle_m[0], position_m[1] - vehicle_m[1]
-        along_m = (north_m * tangent[0] + east_m * tangent[1]) / (math.hypot(*tangent) or 1.0)
-        lead_m = max(along_m, math.hypot(north_m, east_m) - _ASIDE_S * self._cruise_m_s)
+        length = math.hypot(*tangent) or 1.0
+        along_m = (north_m * tangent[0] + east_m * tangent[1]) / length
+        aside_m = abs(north_m * tangent[1] - east_m * tangent[0]) / length
+        # A vehicle that is ahead is never waited for: it would stand where its velocity and its
+        # way back cancel each other.
+        lead_m = max(along_m, aside_m - _ASIDE_S * self._cruise_m_s)
         most_m = _LEAD_SHARE * (self._max_m_s - self._cruise_m_s) / POSITION_GAIN_PER_S
         if lead_m <= _LEAD_FREE * most_m:
             return 1.0

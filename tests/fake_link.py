@@ -63,7 +63,7 @@ class FakeVehicle:
         self.disarm_after_s = _DISARM_AFTER_S
         self.setpoint_limit_s = _SETPOINT_LIMIT_S
         self.height_error_m = 0.0
-        self.climb_m_s = _SPEED_M_S
+        self.climb_m_s = self.speed_m_s = _SPEED_M_S
 
     @property
     def is_on_ground(self) -> bool:
@@ -117,7 +117,7 @@ class FakeVehicle:
                 self.intent = Mode.HOLD
         elif mode is Mode.OFFBOARD and self.setpoint is not None:
             for axis in range(3):
-                speed_m_s = self.climb_m_s if axis == 2 else _SPEED_M_S
+                speed_m_s = self.climb_m_s if axis == 2 else self.speed_m_s
                 self._move(axis, self.setpoint.position_ned_m[axis], speed_m_s)
         elif mode is Mode.LAND or (mode is Mode.RETURN and self._is_over_home()):
             self._move(2, 0.0, _CLIMB_M_S)

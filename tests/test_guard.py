@@ -38,7 +38,7 @@ LEFT_ARMED = {Reason.LOST_FOR_GOOD, Reason.LEFT, Reason.PILOT_KEEPS}
 COMMANDS = {Action.RETURN, Action.LAND, Action.DISARM}
 MISSION_FACTS = (
     *("is_sure", "is_on_ground", "is_position_good", "is_battery_low", "is_time_up"),
-    *("is_off_height", "is_blind", "is_horizon_flown", "is_planner_late"),
+    *("is_off_height", "is_stuck", "is_blind", "is_horizon_flown", "is_planner_late"),
 )
 MODES = ({}, {"is_offboard": True}, {"is_holding": True}, {"is_coming_down": True})
 GROUND = ({}, {"is_on_ground": True}, {"is_on_ground": True, "is_on_ground_long": True})
@@ -148,6 +148,7 @@ def test_the_patrol_goes_on_only_while_nothing_is_against_it():
             assert not situation.is_battery_low
             assert not situation.is_time_up
             assert not situation.is_off_height
+            assert not situation.is_stuck
             assert not situation.is_blind
             assert not situation.times_interrupted
             assert situation.setback is Setback.NONE

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dronemon.guidance import POSITION_GAIN_PER_S, Carrot, Drag
@@ -79,6 +79,29 @@ def test_waits_for_a_vehicle_that_stays_behind():
         position, velocity, _ = carrot.advance(STEP_S, (0.0, 0.0))
     assert position[0] <= 0.1 * SPEED / POSITION_GAIN_PER_S
     assert velocity[0] + POSITION_GAIN_PER_S * position[0] == pytest.approx(1.08 * SPEED)
+
+
+@settings(deadline=None, max_examples=100)
+@example((5.3, 0.0), 30)
+@given(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), st.integers(0, 300))
+def test_a_vehicle_that_was_pushed_anywhere_comes_to_the_end(
+    push_m: tuple[float, float], num_steps: int
+):
+    carrot = _carrot()
+    carrot.extend((20.0, 0.0))
+    carrot.extend((20.0, 20.0))
+    vehicle = (0.0, 0.0)
+    for step in range(int(40.0 / STEP_S)):
+        position, velocity, _ = carrot.advance(STEP_S, vehicle)
+        wanted = [
+            v + POSITION_GAIN_PER_S * (p - at)
+            for v, p, at in zip(velocity, position, vehicle, strict=True)
+        ]
+        vehicle = (vehicle[0] + wanted[0] * STEP_S, vehicle[1] + wanted[1] * STEP_S)
+        if step == num_steps:
+            vehicle = (vehicle[0] + push_m[0], vehicle[1] + push_m[1])
+    assert carrot.remaining_m == 0.0
+    assert vehicle == pytest.approx((20.0, 20.0), abs=0.1)
 
 
 @settings(deadline=None, max_examples=50)

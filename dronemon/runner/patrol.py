@@ -39,6 +39,10 @@ _NEXT_PICTURE_AU = 0.03
 _SLOW_S = 1.0
 _OFF_HEIGHT_S = 3.0
 """Vehicle time for which the drone may be far from its height."""
+_STANDING_S = 0.5
+"""Ways shorter than at cruise in this time are none."""
+_STUCK_S = 30.0
+"""Vehicle time for which the drone may make no way."""
 _CLIMB_LIMIT_S = 120.0
 _HEIGHT_BAND_M, _HEIGHT_BAND = 2.0, 0.15
 
@@ -137,6 +141,7 @@ class Patrol:
             ground_speed_m_s=pose.ground_speed_m_s,
         )
         self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
+        self._stood_since = pose.position_ned_m[:2], pose.time_s
 
     async def _guide(self) -> None:
         while True:
@@ -149,6 +154,7 @@ class Patrol:
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
                 is_off_height=self._is_off_height(pose),
+                is_stuck=self._is_stuck(pose),
                 is_blind=self._observer.is_blind(pose.time_s),
             )
             if advice.action is not Action.GO_ON:
@@ -192,6 +198,15 @@ class Patrol:
             and self.tally.num_pictures_due >= self._num_pictures
             and not self._observer.is_taking
         )
+
+    def _is_stuck(self, pose: Pose) -> bool:
+        """Whether it stays around one place though it has somewhere to go."""
+        here_m, now_s = pose.position_ned_m[:2], pose.time_s
+        from_m, since_s = self._stood_since
+        way_m = _STANDING_S * self._mission.flight.cruise_speed_m_s
+        if self._waiting_since is not None or math.dist(here_m, from_m) > way_m:
+            self._stood_since = here_m, now_s
+        return now_s > since_s + _STUCK_S
 
     def _is_off_height(self, pose: Pose) -> bool:
         """Whether it has been far from its height for long."""

@@ -73,6 +73,7 @@ class PatrolFacts(TypedDict, total=False):
     is_horizon_flown: bool
     is_planner_late: bool
     is_off_height: bool
+    is_stuck: bool
     is_blind: bool
 
 

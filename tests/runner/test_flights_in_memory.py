@@ -798,6 +798,13 @@ def test_a_drone_that_leaves_its_height_returns(flight):
     _comes_home(flight, result)
 
 
+def test_a_drone_that_makes_no_way_returns(flight):
+    flight.when("patrol", lambda: setattr(flight.link.vehicle, "speed_m_s", 0.0))
+    result = flight.fly()
+    assert Reason.STUCK in flight.reasons
+    _comes_home(flight, result)
+
+
 def test_the_path_follows_an_estimate_that_moves(flight):
     def move() -> None:
         flight.link.vehicle.position[0] += 30.0
