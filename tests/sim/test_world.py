@@ -163,11 +163,11 @@ def test_faults_switch_on_and_off_in_order() -> None:
     schedule = FaultSchedule(
         [parse_fault(text) for text in texts], lambda kind, value: seen.append((kind, value))
     )
-    schedule.advance(10.0, None)
+    schedule.advance(10.0, is_armed=False)
     assert seen == [("deaf", 1.0)]
-    schedule.advance(11.9, 10.0)
-    schedule.advance(14.0, 10.0)
+    for time_s in (10.0, 11.9, 14.0):
+        schedule.advance(time_s, is_armed=True)
     assert seen[1:] == [("deaf", None), ("gps", 1.0), ("battery", 0.2)]
     schedule.add(parse_fault("reboot"))
-    schedule.advance(30.0, 10.0)
+    schedule.advance(30.0, is_armed=True)
     assert seen[4:] == [("gps", 1.0), ("reboot", 1.0), ("gps", None)]
