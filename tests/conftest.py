@@ -1,4 +1,4 @@
-"""What all tests share: one thread, and the simulated vehicle as a process."""
+"""What all tests share: one thread, the same examples, and the simulated vehicle as a process."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import settings
 from simulated_vehicle import (
     END_TIMEOUT_S,
     ROOT,
@@ -25,6 +26,8 @@ from simulated_vehicle import (
 # so that decisions can be compared to the last digit.
 os.environ.setdefault("NUMBA_CPU_NAME", "generic")
 os.environ.setdefault("NUMBA_CPU_FEATURES", "")
+settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
+settings.load_profile("repeatable")
 torch.set_num_threads(1)  # a second thread is ruinous for small matrices on a busy machine
 
 

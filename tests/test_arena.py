@@ -22,7 +22,7 @@ def inside_by_au(arena: Arena, place_au) -> float:
     return float(-np.hypot(*outside_au.clip(0.0)) if is_outside else -outside_au.max())
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(arena=ARENAS, place=PLACES)
 def test_the_nearest_place_is_inside_and_as_far_as_the_border(arena, place) -> None:
     clipped = arena.clip(place)
@@ -37,7 +37,7 @@ def test_the_nearest_place_is_inside_and_as_far_as_the_border(arena, place) -> N
     assert inside_by_au(arena, inner) >= 0.1 - 1e-12
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(arena=ARENAS, place=PLACES)
 def test_compiled_code_says_the_same(arena, place) -> None:
     bounds = arena.bounds

@@ -52,7 +52,7 @@ def test_asks_for_the_next_leg_before_the_end():
     assert ahead_m == pytest.approx(0.25 * SPEED, abs=SPEED * STEP_S)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.floats(-180, 180))
 def test_corner_is_round_and_bounded_in_acceleration(turn_deg: float):
     carrot = _carrot()
@@ -81,7 +81,7 @@ def test_waits_for_a_vehicle_that_stays_behind():
     assert velocity[0] + POSITION_GAIN_PER_S * position[0] == pytest.approx(1.08 * SPEED)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @example((5.3, 0.0), 30)
 @given(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), st.integers(0, 300))
 def test_a_vehicle_that_was_pushed_anywhere_comes_to_the_end(
@@ -104,7 +104,7 @@ def test_a_vehicle_that_was_pushed_anywhere_comes_to_the_end(
     assert vehicle == pytest.approx((20.0, 20.0), abs=0.1)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(st.floats(0.001, 30.0), min_size=1, max_size=5), st.floats(0.01, 0.2))
 def test_stays_at_the_end_of_any_path(legs_m: list[float], step_s: float):
     carrot = _carrot()
@@ -132,7 +132,7 @@ def test_stops_at_the_last_waypoint():
     assert velocity == pytest.approx((0.0, 0.0), abs=0.1)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.tuples(st.floats(-20, 60), st.floats(-20, 20)),
     st.floats(1.0, 2.0),
@@ -171,7 +171,7 @@ def test_cross_track_is_the_distance_to_the_legs():
     assert carrot.cross_track_m((-3.0, -4.0)) == pytest.approx(5.0)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.floats(0.0, 1.0), st.floats(-3.0, 3.0), st.floats(-math.pi, math.pi))
 def test_drag_is_told_from_wind(drag_per_s: float, wind_m_s: float, yaw_rad: float):
     drag = Drag()

@@ -68,7 +68,7 @@ def test_a_target_that_joins_was_not_seen_before() -> None:
     assert not imagined.values[1].any()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(gaps_au=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40), span_au=st.floats(0.05, 3.0))
 def test_window_holds_what_is_younger_than_its_span(gaps_au: list[float], span_au: float) -> None:
     times_au = np.cumsum(gaps_au)

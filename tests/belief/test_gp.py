@@ -178,7 +178,7 @@ def test_observation_that_is_not_finite_is_an_error(fault, target, count):
         fit(points, values, torch.ones_like(mask))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     kept=st.integers(0, 29),

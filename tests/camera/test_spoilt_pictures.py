@@ -47,7 +47,7 @@ SPOILT = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@settings(max_examples=60)
 @given(st.lists(SPOILT, min_size=5, max_size=5))
 def test_spoilt_answers_are_errors_and_end_nothing(batch: list[bytes]):
     answers: list[bytes] = []

@@ -22,7 +22,7 @@ def test_a_step_over_the_border_goes_along_it_as_far():
         assert np.hypot(*(to - (x, y))) == pytest.approx(0.1)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     seed=st.integers(0, 2**32 - 1),
     count=st.integers(1, 12),

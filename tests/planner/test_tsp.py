@@ -74,7 +74,7 @@ class Told:
         )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
 def test_loop_of_few_points_is_the_shortest(seed: int, count: int) -> None:
     points_au = np.random.default_rng(seed).random((count, 2))

@@ -238,7 +238,7 @@ def test_any_datagrams_do_no_harm(num_batches: int) -> None:
     link = MavlinkLink(simulation.autopilot, ("127.0.0.1", 1), {}, random.Random(10_005))
     own = ("COMMAND_", "MISSION_", "PARAM_", "SET_", "FILE_", "PING", "TIMESYNC", "HEARTBEAT")
 
-    @settings(max_examples=num_batches, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=num_batches)
     @given(st.lists(datagrams(own, (245, 190)), min_size=20, max_size=20))
     def check(batch: list[bytes]) -> None:
         for number, datagram in enumerate(batch):

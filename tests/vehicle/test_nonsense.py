@@ -40,7 +40,7 @@ def test_any_datagrams_leave_the_link_whole(num_batches, capfd):
         listening = asyncio.create_task(listen(link))
         loop = asyncio.get_running_loop()
 
-        @settings(max_examples=num_batches, deadline=None, derandomize=True, database=None)
+        @settings(max_examples=num_batches)
         @given(st.lists(datagrams(MEANT, (1, 1)), min_size=BATCH, max_size=BATCH))
         def check(batch):
             for datagram in batch:

@@ -40,7 +40,7 @@ def test_legs_of_one_interval_have_one_measurement_each() -> None:
         here, residual = end, leg.residual_au
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(lengths=st.lists(st.floats(1e-6, 0.5), min_size=1, max_size=40))
 def test_number_of_measurements_depends_on_length_alone(lengths: list[float]) -> None:
     residual, count, x = 0.0, 0, 0.0

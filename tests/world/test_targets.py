@@ -53,7 +53,7 @@ def test_single_distance_and_many_agree() -> None:
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_paths_join_all_points_from_first_to_second_in_few_detours(seed: int) -> None:
     drawn = np.random.default_rng(seed).random((50, 2))
@@ -70,7 +70,7 @@ def test_paths_join_all_points_from_first_to_second_in_few_detours(seed: int) ->
             assert length_au(swapped) > length_au(ordered) - 1e-8
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), speed=st.floats(0.001, 0.2))
 def test_targets_stay_in_the_square_and_never_outrun_their_speed(seed: int, speed: float) -> None:
     paths = TargetPaths.random(2, np.random.default_rng(seed))
