@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,15 +18,17 @@ import numpy as np
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
 from dronemon.errors import DronemonError, VehicleError
 from dronemon.events import TruthTold
+from dronemon.feasibility import make_planner
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
-from dronemon.preflight import make_planner
+from dronemon.preflight import Finding
 from dronemon.recorder import SIMULATOR_LOG, RunFolder, RunRecorder
 from dronemon.runner import (
     FlightResult,
     FlightSetup,
     Interrupts,
     fly_mission,
+    inspect_vehicle,
     mission_kernel,
     rehearse,
 )
@@ -39,24 +42,35 @@ from dronemon.vision.drawn import DrawnDetector
 from dronemon.viz import FlightView
 
 _WORKER_THREADS = 16
+"""MAVSDK's calls wait in them."""
 
 
-async def assemble_and_fly(
-    file: MissionFile, follow: str | None, out: Path | None
-) -> tuple[FlightResult, Summary]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What a person asks for beside the mission.
+
+    follow:   second MAVLink URL of a real vehicle, for simulated animals and camera to follow it
+    settings: parameters of the vehicle meanwhile, by name
+    out:      the run folder; a new one if None
+    """
+
+    follow: str | None = None
+    settings: Mapping[str, float] = field(default_factory=dict)
+    out: Path | None = None
+
+
+async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightResult, Summary]:
     """Fly a mission that was checked with everything it names, into a new run folder.
-
-    follow: second MAVLink URL of a real vehicle, for simulated animals and camera to follow it.
 
     Raises DronemonError for what fails before the flight begins; the rest is in the result.
     """
     mission = file.mission
     planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
-    with RunRecorder.create(mission, out=out) as recorder:
+    with RunRecorder.create(mission, out=request.out) as recorder:
         try:
             console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
             console.print("getting ready (the first time code is compiled, for about 15 s)")
-            result, truth = await _with_everything(file, planner, follow, recorder, _interrupts())
+            result, truth = await _with_everything(file, planner, request, recorder)
         except BaseException as exc:
             if recorder.is_empty and SIMULATOR_LOG not in str(exc):  # else one is sent there
                 recorder.discard()
@@ -80,10 +94,13 @@ async def assemble_and_fly(
     return result, summary
 
 
+def _make_threads() -> None:
+    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(_WORKER_THREADS))
+
+
 def _interrupts() -> Interrupts:
-    """A person's signals, and threads enough for MAVSDK's calls, which wait in them."""
+    """A person's signals."""
     loop, interrupts = asyncio.get_running_loop(), Interrupts()
-    loop.set_default_executor(ThreadPoolExecutor(_WORKER_THREADS))
     wanted = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
         wanted.append(signal.SIGHUP)
@@ -95,33 +112,33 @@ def _interrupts() -> Interrupts:
 async def _with_everything(
     file: MissionFile,
     planner: Planner,
-    follow: str | None,
+    request: Request,
     recorder: RunRecorder,
-    interrupts: Interrupts,
 ) -> tuple[FlightResult, dict[float, FloatArray]]:
     """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
     folder, mission = recorder.folder, file.mission
-    detector = make_detector(mission)
+    detector, interrupts = make_detector(mission), _interrupts()
+    _make_threads()
     async with contextlib.AsyncExitStack() as stack:
         rehearsal = rehearse(mission, detector, planner, interrupts)
-        sim = await _start(mission, folder, stack, follow, rehearsal)
-        priors_au = _priors(mission, sim)
+        sim = await _start(mission, folder, stack, request.follow, rehearsal)
         view = stack.enter_context(FlightView(folder.rrd_path, mission))
         if view.url:
             console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
         display = stack.enter_context(FlightDisplay(console))
         link = await stack.enter_async_context(_link(mission, sim))
         result = await _fly(
-            FlightSetup(
-                file=file,
-                link=link,
-                camera=_camera(mission, sim, link),
+            _equip(
+                file,
+                sim,
+                link,
                 detector=detector,
                 planner=planner,
-                priors_au=priors_au,
                 record=recorder,
                 watchers=(view, display),
                 interrupts=interrupts,
+                settings=request.settings,
+                folder=folder.path,
             ),
             sim,
         )
@@ -129,6 +146,53 @@ async def _with_everything(
         for time_s, targets_au in truth.items():
             view.take(TruthTold(time_s=time_s, targets_au=targets_au))
     return result, truth
+
+
+async def assemble_and_inspect(file: MissionFile, request: Request) -> tuple[Finding, ...]:
+    """Ask all that is asked before a take-off, with everything that the mission names.
+
+    Raises DronemonError where nothing can be asked.
+    """
+    mission = file.mission
+    planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
+    _make_threads()
+    async with contextlib.AsyncExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="dronemon-")))
+        recorder = RunRecorder.create(mission, out=folder / "run", needed_bytes=0)
+        stack.enter_context(recorder)
+        sim = None
+        if mission.vehicle.is_mock or request.follow:
+            sim = await stack.enter_async_context(simulator(folder / "run", request.follow))
+        link = await stack.enter_async_context(_link(mission, sim))
+        setup = _equip(
+            file,
+            sim,
+            link,
+            detector=make_detector(mission),
+            planner=planner,
+            record=recorder,
+            watchers=(),
+            interrupts=Interrupts(),
+            settings=request.settings,
+            folder=_existing(request.out or Path()),
+        )
+        return await inspect_vehicle(setup, partial(console.print, soft_wrap=True, markup=False))
+
+
+def _existing(path: Path) -> Path:
+    """The folder itself, or the one that it would be made in."""
+    return next(folder for folder in (path, *path.absolute().parents) if folder.is_dir())
+
+
+def _equip(file: MissionFile, sim: Simulator | None, link: MavsdkLink, **rest: Any) -> FlightSetup:
+    """A flight's setup, with the camera and what is known of the targets."""
+    return FlightSetup(
+        file=file,
+        link=link,
+        camera=_camera(file.mission, sim, link),
+        priors_au=_priors(file.mission, sim),
+        **rest,
+    )
 
 
 async def _fly(setup: FlightSetup, sim: Simulator | None) -> FlightResult:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,11 +29,13 @@ from dronemon.terminal import (
 
 if TYPE_CHECKING:
     from dronemon.mission import Mission, MissionFile
+    from dronemon.preflight import Finding
 
 # Nearly all is slow to import, and so imported by the command that needs it.
 
 INTERRUPTED = 130
 _DEFAULT_MISSION = "animals"
+_VERDICT_STYLES = {"go": "green", "warning": "yellow", "no-go": "bold red"}
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -75,6 +78,15 @@ LiveView = Annotated[
 RunFolder = Annotated[
     Path | None, typer.Option(help="Run folder; a new one under runs/ if absent.")
 ]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Set a parameter of the vehicle meanwhile, and put it back afterwards.",
+    ),
+]
+Unasked = Annotated[bool, typer.Option("--yes", help="Set parameters without asking.")]
 _OVERRIDES = {
     "vehicle": ("vehicle", "url"),
     "speed_up": ("vehicle", "speed_up"),
@@ -83,7 +95,7 @@ _OVERRIDES = {
     "seed": ("simulation", "seed"),
     "view": ("view", "live"),
 }
-"""Parameters of `fly` and `check` -> the key of a mission that each stands for."""
+"""Parameters of `fly`, `check` and `preflight` -> the key of a mission that each stands for."""
 
 
 def main() -> None:
@@ -118,15 +130,19 @@ def fly_command(
     seed: Seed = None,
     view: LiveView = None,
     out: RunFolder = None,
+    settings: Settings = None,
+    yes: Unasked = False,
 ) -> None:
     """Fly a mission: take off, patrol, come home, land. Ctrl-C returns; twice lands now."""
     checked = _checked(context)
+    confirmed = _confirmed(settings or (), yes)
     import asyncio
 
-    from dronemon.assembly import assemble_and_fly
+    from dronemon.assembly import Request, assemble_and_fly
     from dronemon.runner.summary import facts
 
-    result, summary = asyncio.run(assemble_and_fly(checked, follow, out))
+    request = Request(follow=follow, settings=confirmed, out=out)
+    result, summary = asyncio.run(assemble_and_fly(checked, request))
     console.print(facts_table(checked.mission.name, facts(summary)))
     (console.print if result.is_landed else print_error)(result.last_word)
     if result.error is not None:  # told when it happened
@@ -134,6 +150,54 @@ def fly_command(
     if not result.is_landed:
         raise typer.Exit(VehicleError.exit_code)
     raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else 0)
+
+
+@app.command("preflight")
+def preflight_command(
+    context: typer.Context,
+    file: MissionArgument = None,
+    mission: NamedMission = None,
+    vehicle: VehicleUrl = None,
+    follow: FollowUrl = None,
+    planner: PlannerKind = None,
+    horizon_au: HorizonAu = None,
+    speed_up: SpeedUp = None,
+    seed: Seed = None,
+    view: LiveView = None,
+    out: RunFolder = None,
+    settings: Settings = None,
+    yes: Unasked = False,
+) -> None:
+    """Ask the vehicle all that is asked before a take-off, and say go or no-go."""
+    checked = _checked(context)
+    confirmed = _confirmed(settings or (), yes)
+    import asyncio
+
+    from dronemon.assembly import Request, assemble_and_inspect
+    from dronemon.preflight import Verdict, against
+    from dronemon.runner import refusal
+
+    request = Request(follow=follow, settings=confirmed, out=out)
+    findings = asyncio.run(assemble_and_inspect(checked, request))
+    _tell_findings(findings)
+    if error := refusal(findings, checked.path):
+        raise error
+    warnings = len(against(findings, Verdict.WARNING))
+    console.print(f"GO, with {warnings} warnings" if warnings else "GO")
+
+
+def _tell_findings(findings: Iterable[Finding]) -> None:
+    """Show what was found before a take-off, a line each, with the option that mends it."""
+    from rich.text import Text
+
+    from dronemon.preflight import mending_options
+
+    for finding in findings:
+        verdict = finding.judgement.verdict
+        mend = mending_options([finding])
+        text = f"{finding}; mended by {mend}" if mend else str(finding)
+        line = Text.assemble((f"{verdict:<9}", _VERDICT_STYLES[verdict]), text)
+        console.print(line, soft_wrap=True)
 
 
 @app.command()
@@ -156,7 +220,7 @@ def check(
 
 def _checked(context: typer.Context) -> MissionFile:
     """The mission that a command was given, with its options; doubts are told on stderr."""
-    from dronemon.preflight import doubts, load_checked
+    from dronemon.feasibility import doubts, load_checked
 
     given = context.params
     names = [given[key] for key in ("file", "mission") if given[key] is not None]
@@ -173,10 +237,30 @@ def _checked(context: typer.Context) -> MissionFile:
     return checked
 
 
+def _confirmed(texts: Iterable[str], is_unasked: bool) -> dict[str, float]:
+    """Parameters to set, by name, each confirmed by a person."""
+    settings: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            settings[name] = float(value)
+        except ValueError:
+            settings[name] = math.nan
+        if not re.fullmatch("[A-Z][A-Z0-9_]{0,15}", name) or not math.isfinite(settings[name]):
+            raise OptionError(f"--set {text}: give NAME=VALUE, such as COM_OBL_RC_ACT=3")
+        if is_unasked:
+            continue
+        if not sys.stdin.isatty():
+            raise OptionError(f"--set {text}: there is nobody to ask; add --yes")
+        if not typer.confirm(f"Set {text} on the vehicle, and put it back afterwards?"):
+            raise OptionError(f"--set {text}: not confirmed; nothing was done")
+    return settings
+
+
 def _facts(m: Mission) -> dict[str, str]:
     """What would be flown, in words."""
+    from dronemon.feasibility import px_per_m
     from dronemon.mission.checks import outbound_min, usable_min
-    from dronemon.preflight import px_per_m
     from dronemon.vision.detector import NEEDED_PX_PER_M
 
     # Mean distance to one of the k nearest of V random places.

@@ -64,10 +64,6 @@ class Reason(StrEnum):
         "the vehicle is armed, or not on the ground: others fly it, or a flight before this one "
         "did not end; nothing was commanded; land and disarm it first"
     )
-    BATTERY_ON_GROUND = (
-        "the battery is at the level of flight.return_battery before take-off; charge it, or "
-        "lower that level"
-    )
     FAILED = "the vehicle, or what it is flown with, failed"
     DISARMED = "the vehicle disarmed during the patrol; see what it says"
     NO_POSITION = (
@@ -207,8 +203,6 @@ TABLE = (
         State.ENDED, Action.END, Reason.INTERRUPTED),
     Row(_PREPARING, lambda s: s.is_armed or not s.is_on_ground,
         State.ENDED, Action.END, Reason.NOT_OURS),
-    Row(_PREPARING, lambda s: s.is_battery_low,
-        State.ENDED, Action.END, Reason.BATTERY_ON_GROUND),
 
     # The mission, until something ends it.
     Row(_LAUNCHING + _PATROLLING, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from dronemon.durable import replace_text, write_all, write_new
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Event, Measured, Noted
 from dronemon.mission import Mission
@@ -85,7 +86,7 @@ class RunRecorder:
         try:
             path = _new_folder(root, mission.name) if out is None else _chosen_folder(out)
             _check_space(path, needed_bytes)
-            _write_new(path / MISSION_FILE, _as_flown(mission))
+            write_new(path / MISSION_FILE, _as_flown(mission))
             names = [target.name for target in mission.targets]
             recorder = cls(RunFolder(path=path), names, is_new=is_new)
             recorder._write_summary({"outcome": IN_FLIGHT})
@@ -180,12 +181,7 @@ class RunRecorder:
     def _write_summary(self, summary: Mapping[str, object]) -> None:
         head = {"started": self._started, "targets": self._names}
         text = json.dumps(json_value({**head, **summary}), indent=2, ensure_ascii=False) + "\n"
-        temporary = self.folder.path / f".{SUMMARY_FILE}.part"
-        with contextlib.suppress(FileNotFoundError):
-            temporary.unlink()
-        _write_new(temporary, text)
-        temporary.replace(self.folder.path / SUMMARY_FILE)
-        _sync_folder(self.folder.path)
+        replace_text(self.folder.path / SUMMARY_FILE, text)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,7 +244,7 @@ def _append(file: FileIO, line: bytes) -> None:
     """Add one whole, synced line, or nothing and raise OSError."""
     end = file.tell()
     try:
-        _write_all(file, line)
+        write_all(file, line)
         os.fsync(file)
     except OSError:
         with contextlib.suppress(OSError):
@@ -303,26 +299,6 @@ def _check_space(path: Path, needed_bytes: int) -> None:
             f"{free_bytes / 1e6:.0f} MB are free at {path}, a flight needs"
             f" {needed_bytes / 1e6:.0f} MB; free some space or choose another disk with --out"
         )
-
-
-def _write_new(path: Path, text: str) -> None:
-    with path.open("xb", buffering=0) as file:
-        _write_all(file, text.encode())
-        os.fsync(file)
-
-
-def _write_all(file: FileIO, data: bytes) -> None:
-    rest = memoryview(data)
-    while rest:
-        rest = rest[file.write(rest) :]
-
-
-def _sync_folder(path: Path) -> None:
-    fd = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
 
 
 def _fingerprint(path: Path) -> dict[str, object]:

@@ -42,6 +42,24 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GpsFix:
+    """How well satellites place the vehicle.
+
+    num_satellites: seen; dilution: of the horizontal position; None where it is not known
+    """
+
+    is_3d: bool
+    num_satellites: int | None
+    dilution: float | None
+
+    def __str__(self) -> str:
+        satellites = "?" if self.num_satellites is None else self.num_satellites
+        dilution = "?" if self.dilution is None else f"{self.dilution:.1f}"
+        fix = "3D fix" if self.is_3d else "no 3D fix"
+        return f"{fix}, {satellites} satellites, dilution {dilution}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:
     """A pinhole camera without distortion.
 

@@ -93,7 +93,8 @@ _SETPOINTS_LOST = {
     4: (Action.LAND, Px4Mode.LAND),
     5: (Action.HOLD, Px4Mode.LOITER),
 }
-_STICKS_LOST = {0: Action.NONE, 1: Action.HOLD, 2: Action.RETURN, 3: Action.LAND}
+_STICKS_LOST = {1: Action.HOLD, 2: Action.RETURN}
+"""Landing otherwise; PX4 stops the motors at 5 and 6, which nothing here does."""
 
 
 def _on_fence(now: Situation, p: Parameters) -> Action:
@@ -118,7 +119,7 @@ def _on_impossible_mode(now: Situation, p: Parameters) -> Action:
     if mode is Px4Mode.OFFBOARD and not now.is_offboard_alive:
         action, mode = _SETPOINTS_LOST.get(int(p["COM_OBL_RC_ACT"]), _SETPOINTS_LOST[1])
         if action in (Action.POSITION, Action.ALTITUDE) and not now.has_sticks:
-            action = _STICKS_LOST[int(p["NAV_RCL_ACT"])]
+            action = _STICKS_LOST.get(int(p["NAV_RCL_ACT"]), Action.LAND)
     if mode is Px4Mode.POSCTL and not now.can_fly(mode):
         return Action.ALTITUDE
     if mode is Px4Mode.LAND and not now.has_position:

@@ -22,7 +22,7 @@ _INFO: int = mavlink.MAV_SEVERITY_INFO
 
 
 class _Return(Enum):
-    """Stages of the return to launch; RTL_LAND_DELAY is 0, so that it lands from its height."""
+    """Stages of the return to launch; it lands at once, or never with RTL_LAND_DELAY below 0."""
 
     CLIMB = auto()
     CRUISE = auto()
@@ -154,6 +154,8 @@ class Navigator:
             if math.hypot(self.home[0] - at[0], self.home[1] - at[1]) > p["NAV_ACC_RAD"]:
                 self._yaw_rad = self._bearing(self.home)
         elif self._return is _Return.CRUISE and distance < p["NAV_ACC_RAD"]:
+            if p["RTL_LAND_DELAY"] < 0.0:
+                return
             self._return = _Return.LAND
             self._say(_INFO, "RTL: land at destination\t")
 

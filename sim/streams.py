@@ -87,6 +87,9 @@ def _sys_status(autopilot: Autopilot) -> Any:
     if autopilot.commander.can_arm:
         health |= prearm
     present = _SENSORS | prearm
+    if autopilot.commander.has_sticks:
+        present |= mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+        health |= mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     return mavlink.MAVLink_sys_status_message(
         present,
         present,

@@ -31,6 +31,12 @@ settings.load_profile("repeatable")
 torch.set_num_threads(1)  # a second thread is ruinous for small matrices on a busy machine
 
 
+@pytest.fixture(autouse=True)
+def _own_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept for vehicles is this test's alone; its programs inherit that."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
 @pytest.fixture
 def mock_vehicle(tmp_path: Path) -> Iterator[StartMockVehicle]:
     """Starts simulators on free ports: `mock_vehicle(mission_path, *more_arguments)`.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,9 +26,10 @@ from dronemon.errors import (
 )
 from dronemon.frames import GeoPoint
 from dronemon.mission.faults import parse_fault
-from dronemon.types import Picture, Pose, Vector3
+from dronemon.types import GpsFix, Picture, Pose, Vector3
 from dronemon.vehicle import Landed, Mode, Setpoint, StatusText, VehicleState
 from sim.faults import FaultSchedule
+from sim.parameters import TABLE as PARAMETERS
 
 STEP_S = 0.02
 ORIGIN = GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0)
@@ -64,6 +65,9 @@ class FakeVehicle:
         self.setpoint_limit_s = _SETPOINT_LIMIT_S
         self.height_error_m = 0.0
         self.climb_m_s = self.speed_m_s = _SPEED_M_S
+        self.parameters = {p.name: float(p.default) for p in PARAMETERS}
+        self.parameters |= {"COM_OBL_RC_ACT": 3.0, "COM_RC_OVERRIDE": 3.0, "GF_ACTION": 3.0}
+        self.has_sticks = True
 
     @property
     def is_on_ground(self) -> bool:
@@ -234,6 +238,10 @@ class FakeLink:
             num_resets=self.num_resets,
             landed=Landed.ON_GROUND if vehicle.is_on_ground else Landed.IN_AIR,
             battery=vehicle.battery,
+            estimate_doubts=(),
+            has_sticks=vehicle.has_sticks,
+            gps=GpsFix(is_3d=True, num_satellites=14, dilution=0.8),
+            hardware="fake",
             home=ORIGIN,
             origin=ORIGIN,
             place=ORIGIN,
@@ -342,6 +350,16 @@ class FakeLink:
         heard = self._num_heartbeats
         while self._num_heartbeats == heard:
             await self._next_message(checks_mode=False)
+
+    async def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
+        parameters = self.vehicle.parameters
+        return {name: parameters[name] for name in names if name in parameters}
+
+    async def write_parameter(self, name: str, value: float) -> None:
+        if name not in self.vehicle.parameters or not self.vehicle.command("set"):
+            raise CommandRejected(f"{name}: not set")
+        self.commands.append(f"{name}={value:g}")
+        self.vehicle.parameters[name] = value
 
     # Commands
 

@@ -18,6 +18,7 @@ LAYERS = {
     "arena": 0,
     "mission": 0,
     "card": 0,
+    "durable": 0,
     "workers": 0,
     "terminal": 0,
     "sightings": 1,
@@ -28,6 +29,7 @@ LAYERS = {
     "world": 1,
     "guidance": 1,
     "guard": 1,
+    "preflight": 1,
     "planner": 2,
     "env": 2,
     "vehicle": 3,
@@ -39,7 +41,7 @@ LAYERS = {
     "evaluation": 4,
     "assembly": 5,
     "cli": 5,
-    "preflight": 5,
+    "feasibility": 5,
     "simulator": 5,
 }
 ORDER_IN_LAYER_0 = (
@@ -53,6 +55,7 @@ ORDER_IN_LAYER_0 = (
     "arena",
     "mission",
     "card",
+    "durable",
     "workers",
     "terminal",
 )

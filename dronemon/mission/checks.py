@@ -58,11 +58,16 @@ def outbound_min(mission: Mission, away_m: float = 0.0) -> float:
     return (flight.altitude_m / _CLIMB_M_S + approach_s + mission.patrol_duration_s) / 60.0
 
 
-def return_min(mission: Mission, away_m: float = 0.0) -> float:
-    """Time from the farthest corner to home and down to the ground."""
+def return_min(mission: Mission, away_m: float = 0.0, height_m: float = 0.0) -> float:
+    """Time from the farthest corner to home and down to the ground.
+
+    height_m: above home, to which it climbs before it returns
+    """
     flight = mission.flight
     way_s = (away_m + mission.area.side_m * 0.71) / flight.cruise_speed_m_s
-    return (way_s + flight.altitude_m / _DESCENT_M_S) / 60.0
+    highest_m = max(height_m, flight.altitude_m)
+    climb_s = (highest_m - flight.altitude_m) / _CLIMB_M_S
+    return (climb_s + way_s + highest_m / _DESCENT_M_S) / 60.0
 
 
 def battery_problem(mission: Mission, away_m: float = 0.0) -> str | None:

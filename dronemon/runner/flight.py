@@ -11,25 +11,26 @@ from functools import partial
 
 import numpy as np
 
-from dronemon.camera import check_picture
-from dronemon.errors import CameraError, DronemonError, PlannerError, RecordError, VehicleError
+from dronemon.errors import DronemonError, PlannerError, RecordError, VehicleError
 from dronemon.events import AreaLaid, EventStream, Progressed
-from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
+from dronemon.frames import AreaFrame
 from dronemon.guard import State
 from dronemon.mission.checks import battery_problem, usable_min
+from dronemon.preflight import Sight, Verdict, against
 from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.inspection import centre_ned_m, find, look, refusal
 from dronemon.runner.last_seen import LastSeen, last_seen
 from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
 from dronemon.runner.supervisor import Supervisor
 from dronemon.runner.tally import Tally
-from dronemon.types import Picture, Vector3
+from dronemon.types import Vector3
 from dronemon.vehicle import Mode
+from dronemon.vehicle.changes import Changes
 
 NOT_STARTED = "nothing has flown: the motors were not started"
 DOWN = "the drone is down, and its motors are off"
 _GROUND_POSES = 20
-_CAMERA_TRIES = 3
 _RESET_LIMIT_S = 30.0
 """Wall time for the planner to begin a mission, as it has done in the rehearsal."""
 
@@ -99,6 +100,7 @@ class _Flight:
             max_airborne_s=usable_min(self._mission) * 60.0,
             planner_name=setup.planner.name,
         )
+        self._changes = Changes(setup.link, partial(self._events.note, "parameters"))
         self._patrol: Patrol | None = None
         self._rest: asyncio.Task[None] | None = None
         self._home_ned_m: Vector3 | None = None  # where it was armed: PX4 moves home at landing
@@ -118,7 +120,7 @@ class _Flight:
                     await supervisor.come_home()
                     if not supervisor.is_down:
                         self._events.note("last word", last_seen(self._link).words, level="ERROR")
-                    await self._leave_in_hold()
+                    await self._leave_as_found()
                     listening.cancel()
             self._tell_losses()
             self._events.note("outcome", supervisor.outcome)
@@ -140,11 +142,15 @@ class _Flight:
             setup, mission, link = self._setup, self._mission, self._link
             self._progress("waiting for the vehicle")
             await link.wait_ready(mission.vehicle.ready_timeout_s)
+            await self._changes.put_back()  # what a flight before this one left
+            await self._changes.make(setup.settings)
             await self._exit.enter_async_context(setup.camera)  # its clock is the vehicle's
-            await self._check_picture()
+            sight = await look(setup)
             frame = await self._lay_area()
-            self._check_distance(frame)
-            self._check_battery()
+            away_m = math.dist(link.pose.position_ned_m[:2], frame.centre_ned_m)
+            if problem := battery_problem(mission, away_m):
+                raise setup.file.error(("area", "latitude_deg"), problem)
+            await self._check_fitness(sight, away_m)
             start_au, roadmap = draw_start_and_roadmap(mission)
             briefing = brief(mission, setup.priors_au, start_au, stream="planner")
             reset = partial(setup.planner.reset, briefing, roadmap)
@@ -170,51 +176,25 @@ class _Flight:
             )
             await link.next_heartbeat()  # the guard judges a fresh state
 
-    async def _check_picture(self) -> None:
-        """Compare the camera with the mission while still on the ground. Raises CameraError."""
-        picture = await self._first_picture()
-        check_picture(picture, self._mission.camera.model, self._link.time_s, -math.inf)
-
-    async def _first_picture(self) -> Picture:
-        """A picture from a camera that may still be waking up. Raises CameraError."""
-        for _ in range(_CAMERA_TRIES - 1):
-            with contextlib.suppress(CameraError):
-                return await self._setup.camera.capture()
-        return await self._setup.camera.capture()
+    async def _check_fitness(self, sight: Sight, away_m: float) -> None:
+        """Tell what is not as it should be. Raises VehicleError where it must not fly so."""
+        findings = await find(self._setup, sight, away_m=away_m)
+        if error := refusal(findings, self._setup.file.path):
+            raise error
+        for finding in against(findings, Verdict.WARNING):
+            self._events.note("preflight", str(finding), level="WARN")
 
     async def _lay_area(self) -> AreaFrame:
         """Lay the square over the ground; its height is what the vehicle reads standing on it."""
-        area, state = self._mission.area, self._link.state
-        assert state.home is not None  # wait_ready waited for both
-        assert state.origin is not None
-        centre = state.home
-        if area.latitude_deg is not None and area.longitude_deg is not None:
-            centre = GeoPoint(latitude_deg=area.latitude_deg, longitude_deg=area.longitude_deg)
-        north_m, east_m, _ = geo_to_ned(centre, state.origin)
+        area = self._mission.area
         downs_m = [(await self._link.next_pose()).position_ned_m[2] for _ in range(_GROUND_POSES)]
         return AreaFrame(
-            centre_ned_m=(float(north_m), float(east_m)),
+            centre_ned_m=centre_ned_m(self._mission, self._link.state),
             ground_down_m=float(np.mean(downs_m)),
             side_m=area.side_m,
             heading_rad=math.radians(area.heading_deg),
             cruise_speed_m_s=self._mission.flight.cruise_speed_m_s,
         )
-
-    def _check_distance(self, frame: AreaFrame) -> None:
-        """Refuse an area that is too far from here for the battery. Raises MissionFileError."""
-        away_m = math.dist(self._link.pose.position_ned_m[:2], frame.centre_ned_m)
-        if problem := battery_problem(self._mission, away_m):
-            raise self._setup.file.error(("area", "latitude_deg"), problem)
-
-    def _check_battery(self) -> None:
-        """Say so if the return at a battery level cannot happen; the guard judges a known level."""
-        if self._link.state.battery is None:
-            self._events.note(
-                "battery",
-                "the vehicle does not tell its level: the drone returns after "
-                f"{usable_min(self._mission):.1f} min in the air instead",
-                level="WARN",
-            )
 
     # In the air
 
@@ -252,8 +232,17 @@ class _Flight:
 
         return self._meanwhile.create_task(do(), name=name)
 
-    async def _leave_in_hold(self) -> None:
-        """After our flight: PX4 would else want OFFBOARD again, in which it cannot be armed."""
+    async def _leave_as_found(self) -> None:
+        """After our flight: parameters as they were, and Hold.
+
+        PX4 would else want OFFBOARD again, in which it cannot be armed.
+        """
+        if self._supervisor.is_down or not self._supervisor.was_armed:
+            try:
+                await self._changes.put_back()
+            except DronemonError as exc:
+                what = f"{exc}; what is not put back will be at the next start"
+                self._events.note("parameters", what, level="ERROR")
         is_ours = self._supervisor.was_armed and self._supervisor.outcome != "pilot"
         if is_ours and self._supervisor.is_down and self._link.state.mode is not Mode.HOLD:
             with contextlib.suppress(DronemonError):

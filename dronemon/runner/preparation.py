@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -40,6 +41,8 @@ class FlightSetup:
     link: connected; camera: still to be opened; record: the critical subscriber of what happens.
 
     priors_au: (N, 2) au known positions of the targets, NaN where unknown
+    settings:  parameters of the vehicle for this flight, put back after it
+    folder:    where the record goes
     """
 
     file: MissionFile
@@ -51,6 +54,8 @@ class FlightSetup:
     record: Subscriber
     watchers: tuple[Subscriber, ...]
     interrupts: Interrupts
+    settings: Mapping[str, float] = field(default_factory=dict)
+    folder: Path = Path()
 
 
 async def rehearse(
@@ -85,7 +90,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
     belief = make_belief(mission, priors_au)
     belief.sightings.add(measurement)
     with _belief_compiled_beside():
-        _look(mission, detector)
+        try_detector(mission, detector)
         with blaming(who, PlannerError):
             planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
     grid_au = belief_grid_au().reshape(-1, 2)
@@ -104,8 +109,8 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         planner.next_waypoint(snapshot)
 
 
-def _look(mission: Mission, detector: Detector) -> None:
-    """Detect nothing in a picture of noise."""
+def try_detector(mission: Mission, detector: Detector) -> None:
+    """Detect nothing in a picture of noise. Raises CameraError for a detector that fails."""
     camera = mission.camera.model
     level = Pose(
         time_s=0.0,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, Protocol
 
 from dronemon.frames import GeoPoint
-from dronemon.types import Pose, Vector3
+from dronemon.types import GpsFix, Pose, Vector3
 
 
 class Mode(StrEnum):
@@ -64,6 +64,15 @@ class VehicleState:
     landed: Landed = Landed.UNKNOWN
     battery: float | None = None
     """Charge left, 0 to 1; None where the vehicle does not know."""
+    estimate_doubts: tuple[str, ...] = ("no word of it",)
+    """What is against the estimate, in words."""
+    gps: GpsFix | None = None
+    remote_id: str | None = None
+    """What its remote ID has against arming, nothing if it is ready; None if none is heard."""
+    has_sticks: bool = False
+    """Whether a remote control is heard."""
+    hardware: str | None = None
+    """What the autopilot's board is called, unlike every other one."""
     home: GeoPoint | None = None
     origin: GeoPoint | None = None
     """Origin of the local NED frame."""
@@ -135,6 +144,12 @@ class VehicleLink(Protocol):
 
     async def wait_ready(self, timeout_s: float) -> None:
         """Wait until the vehicle knows where it is and passes its arming checks."""
+
+    async def read_parameters(self, names: Iterable[str]) -> Mapping[str, float]:
+        """Values by name of those that the vehicle has; NaN where one cannot be read."""
+
+    async def write_parameter(self, name: str, value: float) -> None:
+        """Set a parameter, and read it back. Raises OptionError for what it cannot be."""
 
     async def arm(self) -> None:
         """Start the motors."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -31,8 +31,13 @@ _WANTED_HZ = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
 }
-_ASKED_FOR = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+_ASKED_FOR = (
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+)
 _ATTEMPTS = 3
 _ASK_EVERY_S = 1.0
 _ROUND_TRIPS = 3
@@ -163,6 +168,14 @@ class MavsdkLink:
             # Disarmed, PX4 may be in a mode whose check fails for good and in silence: OFFBOARD.
             await self._wire.command(Command.choose(Mode.HOLD))
         await self._wire.command(RUN_CHECKS)
+
+    async def read_parameters(self, names: Iterable[str]) -> Mapping[str, float]:
+        """Values by name of those that the vehicle has."""
+        return await self._wire.parameters.read(names)
+
+    async def write_parameter(self, name: str, value: float) -> None:
+        """Set a parameter, and read it back."""
+        await self._wire.parameters.write(name, value)
 
     # Commands
 

@@ -10,6 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from dronemon.vehicle.link import Mode
 
 AUTOPILOT_COMPONENT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
+REMOTE_ID_STATUS = "OPEN_DRONE_ID_ARM_STATUS"
+"""The one message that may be another component's than the autopilot's: the remote ID's."""
 _AUTO, _POSITION = 4, 3
 MODES = {  # main mode, sub mode
     (1, 0): Mode.MANUAL,

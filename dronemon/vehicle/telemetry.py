@@ -16,9 +16,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import CameraError
 from dronemon.frames import GeoPoint
-from dronemon.types import Pose, Vector3
+from dronemon.types import GpsFix, Pose, Vector3
 from dronemon.vehicle.link import Landed, Mode, StatusText, VehicleState
-from dronemon.vehicle.px4 import ROTORCRAFT, mode_of
+from dronemon.vehicle.px4 import REMOTE_ID_STATUS, ROTORCRAFT, mode_of
 from dronemon.vehicle.status_texts import StatusTexts
 from dronemon.vehicle.vehicle_clock import LATE_MS, VehicleClock
 
@@ -31,8 +31,21 @@ _LANDED = {
 }
 _UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message stays away
     "EXTENDED_SYS_STATE": {"landed": Landed.UNKNOWN},
-    "SYS_STATUS": {"battery": None, "is_armable": False},
-    "ESTIMATOR_STATUS": {"is_position_good": False},
+    "SYS_STATUS": {"battery": None, "is_armable": False, "has_sticks": False},
+    "ESTIMATOR_STATUS": {"is_position_good": False, "estimate_doubts": ("no word of it",)},
+    "GPS_RAW_INT": {"gps": None},
+    REMOTE_ID_STATUS: {"remote_id": None},
+}
+_ESTIMATED = {
+    "attitude": mavlink.ESTIMATOR_ATTITUDE,
+    "horizontal velocity": mavlink.ESTIMATOR_VELOCITY_HORIZ,
+    "vertical velocity": mavlink.ESTIMATOR_VELOCITY_VERT,
+    "position": mavlink.ESTIMATOR_POS_HORIZ_ABS,
+    "height": mavlink.ESTIMATOR_POS_VERT_ABS,
+}
+_ESTIMATE_ERRORS = {
+    "a GPS glitch": mavlink.ESTIMATOR_GPS_GLITCH,
+    "an accelerometer error": mavlink.ESTIMATOR_ACCEL_ERROR,
 }
 _TRUSTED_S = 10.0
 _STALE_POSITION_S = 0.5
@@ -74,6 +87,9 @@ class Telemetry:
             "HOME_POSITION": lambda fields: self._update(home=_geo_point(fields)),
             "GPS_GLOBAL_ORIGIN": lambda fields: self._update(origin=_geo_point(fields)),
             "GLOBAL_POSITION_INT": lambda fields: self._update(place=_geo_point(fields)),
+            "GPS_RAW_INT": lambda fields: self._update(gps=_gps_fix(fields)),
+            "AUTOPILOT_VERSION": self._on_version,
+            REMOTE_ID_STATUS: self._on_remote_id,
             "STATUSTEXT": lambda fields: self.texts.take(fields, self.time_s),
         }
 
@@ -223,10 +239,32 @@ class Telemetry:
         self._update(
             battery=remaining / 100.0 if remaining >= 0 else None,
             is_armable=bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK),
+            has_sticks=bool(
+                health
+                & fields["onboard_control_sensors_present"]
+                & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+            ),
         )
 
     def _on_estimator_status(self, fields: dict[str, Any]) -> None:
-        self._update(is_position_good=bool(fields["flags"] & mavlink.ESTIMATOR_POS_HORIZ_ABS))
+        flags = _whole(fields["flags"], 0, 2**16 - 1)
+        self._update(
+            is_position_good=bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
+            estimate_doubts=(
+                *(f"no {what}" for what, flag in _ESTIMATED.items() if not flags & flag),
+                *(what for what, flag in _ESTIMATE_ERRORS.items() if flags & flag),
+            ),
+        )
+
+    def _on_version(self, fields: dict[str, Any]) -> None:
+        """The board's long number, or its short one where it has no long one."""
+        long_id = bytes(_whole(byte, 0, 255) for byte in fields["uid2"])
+        short_id = _whole(fields["uid"], 0, 2**64 - 1).to_bytes(8, "big")
+        self._update(hardware=(long_id if any(long_id) else short_id).hex())
+
+    def _on_remote_id(self, fields: dict[str, Any]) -> None:
+        is_good = fields["status"] == mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM
+        self._update(remote_id="" if is_good else str(fields["error"]) or "it does not say why")
 
 
 def _is_jump(before: tuple[float, Vector3, Vector3], after: tuple[float, Vector3, Vector3]) -> bool:
@@ -250,6 +288,15 @@ def _whole(value: int, least: int, most: int) -> int:
     if not isinstance(value, int) or not least <= value <= most:
         raise ValueError(f"{value} is not within {least} to {most}")
     return value
+
+
+def _gps_fix(fields: dict[str, Any]) -> GpsFix:
+    number, eph = _whole(fields["satellites_visible"], 0, 255), _whole(fields["eph"], 0, 65535)
+    return GpsFix(
+        is_3d=_whole(fields["fix_type"], 0, 255) >= mavlink.GPS_FIX_TYPE_3D_FIX,
+        num_satellites=None if number == 255 else number,
+        dilution=None if eph == 65535 else eph / 100.0,
+    )
 
 
 def _geo_point(fields: dict[str, Any]) -> GeoPoint:

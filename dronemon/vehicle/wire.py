@@ -27,12 +27,14 @@ from pymavlink.dialects.v20 import common as mavlink
 from dronemon.errors import CommandUnconfirmed, LinkLost, LinkTimeout
 from dronemon.mission.addresses import parse_udpin
 from dronemon.vehicle.neighbours import autopilots, choose
-from dronemon.vehicle.px4 import ANSWERS, AUTOPILOT_COMPONENT, Command
+from dronemon.vehicle.parameters import Parameters
+from dronemon.vehicle.px4 import ANSWERS, AUTOPILOT_COMPONENT, REMOTE_ID_STATUS, Command
 
 _LISTEN_S = 1.5
 _SENDS, _RESEND_S = 4, 0.6
 _PINGS = 8
 _HEARTBEAT_S = 1.0
+_REMOTE_IDS = tuple(getattr(mavlink, f"MAV_COMP_ID_ODID_TXRX_{number}") for number in (1, 2, 3))
 _PARAMS = tuple(f"param{i}" for i in range(1, 8))
 _Take = Callable[[str, dict[str, Any]], None]
 
@@ -40,8 +42,9 @@ _Take = Callable[[str, dict[str, Any]], None]
 class Wire:
     """The link to one autopilot; open inside its `async with`.
 
-    take:  is told each message of the autopilot: its name and fields
-    names: of the messages that are wanted
+    take:       is told each message of the autopilot: its name and fields
+    names:      of the messages that are wanted
+    parameters: of the vehicle
 
     Its limits are wall time.
     """
@@ -58,7 +61,8 @@ class Wire:
         self._results: dict[int, int] = {}  # the newest answer by command
         self._url = url
         self._take = take
-        self._names = (*names, "COMMAND_ACK", "PING")
+        self._names = (*names, "COMMAND_ACK", "PING", "PARAM_VALUE")
+        self.parameters = Parameters(self.send, self.round_trip)
         self._system_id = system_id
         self._connect_timeout_s = connect_timeout_s
         self._num_acks: dict[int, int] = {}
@@ -154,9 +158,9 @@ class Wire:
     # Reading
 
     async def _read(self, name: str) -> None:
-        sender = self._system_id, AUTOPILOT_COMPONENT
+        senders = (AUTOPILOT_COMPONENT, *(_REMOTE_IDS if name == REMOTE_ID_STATUS else ()))
         async for message in self._direct.subscribe_message(name):
-            if (message.system_id, message.component_id) != sender:
+            if message.system_id != self._system_id or message.component_id not in senders:
                 continue
             try:
                 fields = json.loads(message.fields_json)
@@ -166,6 +170,8 @@ class Wire:
                 self._take_ack(fields)
             elif name == "PING":
                 self._take_ping(fields)
+            elif name == "PARAM_VALUE":
+                self.parameters.take(fields)
             else:
                 self._take(name, fields)
                 if name == "HEARTBEAT":
@@ -197,7 +203,7 @@ class Wire:
 
     # Sending
 
-    async def send(self, name: str, **fields: float | None) -> None:
+    async def send(self, name: str, **fields: float | str | None) -> None:
         """Send one message to the autopilot; None is NaN. Raises LinkLost."""
         target = {"target_system": self._system_id, "target_component": AUTOPILOT_COMPONENT}
         await self._send(name, target | fields)

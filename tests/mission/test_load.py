@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from dronemon.errors import MissionFileError
+from dronemon.feasibility import load_checked
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.faults import KINDS
 from dronemon.mission.template import mission_template
-from dronemon.preflight import load_checked
 from dronemon.types import APPEARANCES
 
 ROOT = Path(__file__).parents[2]

@@ -41,6 +41,7 @@ from dronemon.roadmap import Roadmap
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, supervisor
 from dronemon.runner.flight import DOWN, NOT_STARTED
 from dronemon.vehicle import Mode
+from dronemon.vehicle.changes import state_folder
 
 MISSION = """
 name: small
@@ -118,6 +119,7 @@ class Flight:
         self.detector: Any = Blind()
         self.picture_px = (640, 480)
         self.mission_text = MISSION
+        self.settings: dict[str, float] = {}
         self.on_link: Callable[[FakeLink], None] = lambda link: None
 
     def fly(self, *faults: str, **options: Any) -> FlightResult:
@@ -139,6 +141,7 @@ class Flight:
                     record=self.record,
                     watchers=(self.view,),
                     interrupts=self.interrupts,
+                    settings=self.settings,
                 )
             )
 
@@ -773,16 +776,55 @@ def test_an_empty_battery_is_found_on_the_ground(flight):
     flight.on_link = lambda link: setattr(link.vehicle, "battery", 0.2)
     result = flight.fly()
     assert isinstance(result.error, VehicleError)
-    assert "battery 20%" in str(result.error)
+    assert "battery (20%): it is at flight.return_battery" in str(result.error)
     assert flight.link.commands == []
 
 
+def test_a_set_up_that_would_do_harm_is_refused_with_what_mends_it(flight):
+    flight.on_link = lambda link: link.vehicle.parameters.update(GF_ACTION=4.0, NAV_DLL_ACT=5.0)
+    result = flight.fly()
+    assert (result.outcome, result.has_flown) == ("failed", False)
+    assert isinstance(result.error, VehicleError)
+    assert "fence crossed (GF_ACTION=4): at a fence it stops the motors" in str(result.error)
+    assert "--set NAV_DLL_ACT=0 --set GF_ACTION=3" in str(result.error)
+    assert flight.link.commands == []
+
+
+def test_a_warning_is_told_and_flown_with(flight):
+    flight.on_link = lambda link: link.vehicle.parameters.update(GF_ACTION=2.0)
+    assert flight.fly().outcome == "completed"
+    assert "fence crossed (GF_ACTION=2)" in flight.record.text("preflight")
+
+
+@pytest.mark.parametrize("fault", ["", "pilot@12+20", "camera@12"])
+def test_a_parameter_for_a_flight_is_put_back_once_the_motors_are_off(flight, fault):
+    flight.settings = {"COM_FAIL_ACT_T": 4.0}
+    result = flight.fly(*filter(None, [fault]))
+    assert result.is_landed
+    assert flight.link.vehicle.parameters["COM_FAIL_ACT_T"] == 5.0
+    commands = flight.link.commands
+    assert commands[0] == "COM_FAIL_ACT_T=4"
+    assert commands.index("COM_FAIL_ACT_T=5") > commands.index("return")
+    assert flight.record.kinds.index("disarmed") < flight.record.kinds.index("outcome")
+
+
+def test_a_parameter_stays_while_it_is_not_known_whether_the_motors_run(flight):
+    flight.settings = {"COM_FAIL_ACT_T": 4.0}
+    assert not flight.fly("silence@12").is_landed
+    assert flight.link.vehicle.parameters["COM_FAIL_ACT_T"] == 4.0
+    assert len(list(state_folder().iterdir())) == 1
+
+
 def test_a_battery_that_is_not_known_is_said_and_time_counts_instead(flight):
-    flight.on_link = lambda link: setattr(link.vehicle, "battery", None)
+    def set_up(link: FakeLink) -> None:
+        link.vehicle.battery = None
+        link.vehicle.parameters["RTL_RETURN_ALT"] = 20.0  # or so short a flight is refused
+
+    flight.on_link = set_up
     flight.mission_text = MISSION.replace("horizon_au: 0.8", "horizon_au: 2, endurance_min: 4")
     flight.when("control taken", lambda: flight.later(200.0, lambda: _give_back(flight)))
     result = flight.fly("pilot@12")
-    assert "does not tell its level" in flight.record.text("battery")
+    assert "does not tell its level" in flight.record.text("preflight")
     assert (result.outcome, result.error) == ("battery low", None)
     assert Reason.TIME_UP in flight.reasons
     _comes_home(flight, result)

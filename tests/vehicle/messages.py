@@ -23,6 +23,7 @@ READY = {
     "SYS_STATUS": {
         "battery_remaining": 73,
         "onboard_control_sensors_health": mavlink.MAV_SYS_STATUS_PREARM_CHECK,
+        "onboard_control_sensors_present": mavlink.MAV_SYS_STATUS_PREARM_CHECK,
     },
 }
 

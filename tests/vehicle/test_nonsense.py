@@ -15,7 +15,7 @@ from dronemon.vehicle import Mode
 from dronemon.vehicle.telemetry import Telemetry
 
 BATCH = 40
-MEANT = (*Telemetry().messages, "COMMAND_ACK", "PING")
+MEANT = (*Telemetry().messages, "COMMAND_ACK", "PING", "PARAM_VALUE")
 
 
 @pytest.mark.timeout(250)

@@ -9,11 +9,19 @@ from messages import HEARTBEAT, HOME, READY, attitude, pose, posed, position
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import CameraError
+from dronemon.types import GpsFix
 from dronemon.vehicle import Landed, Mode
-from dronemon.vehicle.px4 import MODES
+from dronemon.vehicle.px4 import MODES, REMOTE_ID_STATUS
 from dronemon.vehicle.telemetry import Telemetry
 
 DISARMED = {"base_mode": 0, "system_status": mavlink.MAV_STATE_STANDBY}
+
+SYS_STATUS = {
+    "battery_remaining": 50,
+    "onboard_control_sensors_health": 0,
+    "onboard_control_sensors_present": 0,
+}
+GPS = {"fix_type": 3, "eph": 70, "satellites_visible": 9}
 
 
 def beat(telemetry, **fields):
@@ -97,10 +105,42 @@ def test_slow_state_is_read():
     assert state.is_position_good
     assert state.is_armable
     assert state.battery == 0.73
-    telemetry.take("SYS_STATUS", {"battery_remaining": -1, "onboard_control_sensors_health": 0})
+    telemetry.take("SYS_STATUS", SYS_STATUS | {"battery_remaining": -1})
     assert telemetry.state.battery is None
     assert not telemetry.state.is_armable
     assert telemetry.state.num_unreadable == 0
+
+
+def test_what_is_asked_before_a_take_off_is_read():
+    telemetry = posed(100.0)
+    receiver = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+    sensors = {f"onboard_control_sensors_{what}": receiver for what in ("health", "present")}
+    telemetry.take("SYS_STATUS", {"battery_remaining": 50} | sensors)
+    assert telemetry.state.has_sticks
+    telemetry.take("SYS_STATUS", SYS_STATUS | {"onboard_control_sensors_health": receiver})
+    assert not telemetry.state.has_sticks
+    telemetry.take("GPS_RAW_INT", GPS)
+    assert telemetry.state.gps == GpsFix(is_3d=True, num_satellites=9, dilution=0.7)
+    telemetry.take("GPS_RAW_INT", {"fix_type": 1, "eph": 65535, "satellites_visible": 255})
+    assert telemetry.state.gps == GpsFix(is_3d=False, num_satellites=None, dilution=None)
+    telemetry.take("AUTOPILOT_VERSION", {"uid": 17, "uid2": [0] * 18})
+    assert telemetry.state.hardware == "0000000000000011"
+    telemetry.take("AUTOPILOT_VERSION", {"uid": 17, "uid2": [1] * 18})
+    assert telemetry.state.hardware == "01" * 18
+    assert telemetry.state.remote_id is None
+    telemetry.take(REMOTE_ID_STATUS, {"status": 1, "error": "no operator"})
+    assert telemetry.state.remote_id == "no operator"
+    telemetry.take(REMOTE_ID_STATUS, {"status": 0, "error": ""})
+    assert telemetry.state.remote_id == ""
+    telemetry.take("ESTIMATOR_STATUS", {"flags": 63})
+    assert telemetry.state.estimate_doubts == ()
+    telemetry.take("ESTIMATOR_STATUS", {"flags": 63 - 1 + mavlink.ESTIMATOR_GPS_GLITCH})
+    assert telemetry.state.estimate_doubts == ("no attitude", "a GPS glitch")
+    assert telemetry.state.num_unreadable == 0
+    pose(telemetry, 109.0)
+    pose(telemetry, 110.5)
+    assert (telemetry.state.gps, telemetry.state.remote_id) == (None, None)
+    assert not telemetry.state.has_sticks
 
 
 @pytest.mark.parametrize(
@@ -144,7 +184,12 @@ def test_what_is_not_heard_for_ten_seconds_is_not_trusted():
         ("ATTITUDE", attitude(10.1, roll=None)),
         ("ATTITUDE", attitude(10.1, yaw=-math.inf)),
         ("ATTITUDE", attitude(10.1, pitch=1e6)),
-        ("SYS_STATUS", {"battery_remaining": 101, "onboard_control_sensors_health": 0}),
+        ("SYS_STATUS", SYS_STATUS | {"battery_remaining": 101}),
+        ("GPS_RAW_INT", GPS | {"eph": -1}),
+        ("GPS_RAW_INT", GPS | {"satellites_visible": None}),
+        ("AUTOPILOT_VERSION", {"uid": -1, "uid2": [0] * 18}),
+        ("AUTOPILOT_VERSION", {"uid": 1, "uid2": [256] * 18}),
+        (REMOTE_ID_STATUS, {"status": 1}),
         ("EXTENDED_SYS_STATE", {"landed_state": 77}),
         ("HOME_POSITION", HOME | {"latitude": 900000001}),
         ("HOME_POSITION", HOME | {"altitude": None}),

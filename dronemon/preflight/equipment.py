@@ -1,0 +1,69 @@
+"""Rows on what the vehicle knows, and what it is flown with."""
+
+from __future__ import annotations
+
+from dronemon.errors import CameraError
+from dronemon.mission import Mission
+from dronemon.preflight.findings import Facts, Judgement, go, no, warn
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
+
+_LEAST_SATELLITES, _GOOD_SATELLITES = 6, 8
+_GOOD_DILUTION, _WORST_DILUTION = 2.0, 2.5
+
+
+def on_readiness(facts: Facts, _: Mission) -> Judgement:
+    """Whether it can be armed."""
+    return go("it can be armed") if facts.unready is None else no(facts.unready)
+
+
+def on_estimate(facts: Facts, _: Mission) -> Judgement:
+    """Whether it knows where it is."""
+    if facts.estimate_doubts:
+        return no("where it is cannot be trusted; wait, or see what the autopilot says")
+    return go("attitude, velocity and position are known")
+
+
+def on_gps(facts: Facts, _: Mission) -> Judgement:
+    """How well satellites place it."""
+    gps = facts.gps
+    if gps is None:
+        return warn("how good its position is, is not known")
+    satellites, dilution = gps.num_satellites, gps.dilution
+    is_few = satellites is not None and satellites < _LEAST_SATELLITES
+    is_blurred = dilution is not None and dilution > _WORST_DILUTION
+    if not gps.is_3d or is_few or is_blurred:
+        return no(
+            f"too poor to fly by: a 3D fix, {_LEAST_SATELLITES} satellites and a dilution of "
+            f"{_WORST_DILUTION:g} or less are needed; wait, or go where the sky is open"
+        )
+    is_few = satellites is not None and satellites < _GOOD_SATELLITES
+    is_blurred = dilution is not None and dilution > _GOOD_DILUTION
+    return warn("poor: it may be lost on the way") if is_few or is_blurred else go("good")
+
+
+def on_remote_id(facts: Facts, _: Mission) -> Judgement:
+    """Whether its remote ID is ready."""
+    if facts.remote_id is None:
+        return go("none is heard; see whether the rules ask for one")
+    return no(facts.remote_id) if facts.remote_id else go("ready")
+
+
+def on_camera(facts: Facts, mission: Mission) -> Judgement:
+    """Whether pictures come, and in time."""
+    if isinstance(facts.sight, CameraError):
+        return no(str(facts.sight))
+    interval_s = MEASUREMENT_INTERVAL_AU * mission.area.side_m / mission.flight.cruise_speed_m_s
+    what = f"a picture is due every {interval_s:.1f} s"
+    is_late = max(facts.sight.wait_s, facts.sight.age_s) > interval_s
+    return warn(f"{what}: it comes too late for that") if is_late else go(what)
+
+
+def on_detector(facts: Facts, _: Mission) -> Judgement:
+    """Whether pictures can be read."""
+    return go("loaded and tried") if facts.detector is None else no(facts.detector)
+
+
+def on_disk(facts: Facts, _: Mission) -> Judgement:
+    """Whether the record has room."""
+    needed = f"a flight needs {facts.needed_bytes / 1e6:.0f} MB"
+    return go(needed) if facts.free_bytes >= facts.needed_bytes else no(f"{needed}; free some")

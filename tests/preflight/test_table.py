@@ -1,0 +1,172 @@
+"""Every row of the preflight table: go, warning and no-go, and that what mends a row mends it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from dronemon.errors import CameraError
+from dronemon.mission import Mission
+from dronemon.preflight import Facts, Finding, Sight, Verdict, against, judge, mending_options
+from dronemon.preflight.table import TABLE
+from dronemon.types import GpsFix
+from sim.parameters import TABLE as MOCK
+
+GO, WARNING, NO_GO = Verdict
+MISSION = Mission.model_validate(
+    {
+        "area": {"side_m": 200},
+        "flight": {"horizon_au": 10},
+        "targets": [{"name": "Bella", "appearance": "cow"}],
+    }
+)
+BARE = {p.name: float(p.default) for p in MOCK} | {"COM_LOW_BAT_ACT": 0.0, "RTL_RETURN_ALT": 60.0}
+"""PX4 v1.17's own defaults; the mock's are those of its simulation."""
+GOOD = BARE | {"COM_OBL_RC_ACT": 3, "COM_RC_OVERRIDE": 3, "GF_ACTION": 3, "COM_LOW_BAT_ACT": 3}
+FACTS = Facts(
+    parameters=GOOD,
+    away_m=0.0,
+    has_sticks=True,
+    battery=1.0,
+    estimate_doubts=(),
+    gps=GpsFix(is_3d=True, num_satellites=14, dilution=0.8),
+    remote_id=None,
+    sight=Sight(wait_s=0.1, age_s=0.1),
+    free_bytes=200,
+    needed_bytes=100,
+    hold_limit_s=8.0,
+)
+FENCE, BATTERY = "fence around home", "battery levels"
+STICKS, LINK = "remote control lost", "ground station lost"
+
+
+def _found(name: str, facts: Facts) -> Finding:
+    return next(finding for finding in judge(facts, MISSION) if finding.name == name)
+
+
+def _gps(**changes: Any) -> dict[str, Any]:
+    return {"gps": replace(FACTS.gps, **changes)}
+
+
+def test_a_vehicle_that_nothing_is_against_is_go_in_every_row():
+    findings = judge(FACTS, MISSION)
+    assert [finding.name for finding in findings] == [row.name for row in TABLE]
+    assert {finding.judgement.verdict for finding in findings} == {GO}
+    assert mending_options(findings) == ""
+
+
+@pytest.mark.parametrize("has_sticks", [True, False])
+def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
+    facts = replace(FACTS, parameters=BARE, has_sticks=has_sticks)
+    assert against(judge(facts, MISSION), NO_GO) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "verdict"),
+    [
+        *(("setpoints lost", {"COM_OBL_RC_ACT": n}, WARNING) for n in (0, 1, 2, 4, 5)),
+        *(("setpoints lost", {"COM_OBL_RC_ACT": n}, NO_GO) for n in (6, 7, 8, -1, 0.5)),
+        ("setpoints lost", {"COM_OBL_RC_ACT": 5, "COM_LOW_BAT_ACT": 0}, NO_GO),
+        ("setpoints late", {"COM_OF_LOSS_T": 0.3}, NO_GO),
+        ("setpoints late", {"COM_OF_LOSS_T": 0.5}, WARNING),
+        ("setpoints late", {"COM_OF_LOSS_T": 3}, WARNING),
+        ("setpoints late", {"COM_OF_LOSS_T": 60}, NO_GO),
+        (STICKS, {"NAV_RCL_ACT": 1}, WARNING),
+        (STICKS, {"NAV_RCL_ACT": 1, "COM_LOW_BAT_ACT": 0}, NO_GO),
+        (STICKS, {"NAV_RCL_ACT": 3}, WARNING),
+        *((STICKS, {"NAV_RCL_ACT": n}, NO_GO) for n in (4, 5, 6)),
+        (STICKS, {"NAV_RCL_ACT": 1, "COM_LOW_BAT_ACT": 0, "COM_RCL_EXCEPT": 4}, GO),
+        (STICKS, {"NAV_RCL_ACT": 6, "COM_RCL_EXCEPT": 4}, NO_GO),
+        (STICKS, {"NAV_RCL_ACT": 6, "COM_RC_IN_MODE": 4}, GO),
+        ("pilot takes over", {"COM_RC_OVERRIDE": 1}, WARNING),
+        ("pilot takes over", {"COM_RC_IN_MODE": 4}, WARNING),
+        (LINK, {"NAV_DLL_ACT": 1}, WARNING),
+        (LINK, {"NAV_DLL_ACT": 1, "COM_LOW_BAT_ACT": 0}, NO_GO),
+        (LINK, {"NAV_DLL_ACT": 2}, GO),
+        (LINK, {"NAV_DLL_ACT": 3}, WARNING),
+        *((LINK, {"NAV_DLL_ACT": n}, NO_GO) for n in (5, 6)),
+        ("height of the return", {"RTL_RETURN_ALT": 0}, GO),
+        ("height of the return", {"RTL_RETURN_ALT": 150}, WARNING),
+        ("height of the return", {"RTL_RETURN_ALT": 300}, NO_GO),
+        ("height of the return", {"RTL_RETURN_ALT": 60, "GF_MAX_VER_DIST": 55}, NO_GO),
+        ("landing after it", {"RTL_LAND_DELAY": -1}, NO_GO),
+        ("landing after it", {"RTL_LAND_DELAY": 90}, WARNING),
+        *(("fence crossed", {"GF_ACTION": n}, WARNING) for n in (0, 1, 2, 5)),
+        ("fence crossed", {"GF_ACTION": 4}, NO_GO),
+        (FENCE, {"GF_MAX_HOR_DIST": 141}, NO_GO),
+        (FENCE, {"GF_MAX_HOR_DIST": 142}, GO),
+        (FENCE, {"GF_MAX_VER_DIST": 45}, NO_GO),
+        (FENCE, {"GF_MAX_VER_DIST": 45, "GF_ACTION": 0}, GO),
+        (BATTERY, {"COM_LOW_BAT_ACT": 0}, WARNING),
+        (BATTERY, {"COM_LOW_BAT_ACT": 2}, WARNING),
+        (BATTERY, {"BAT_CRIT_THR": 0.25, "BAT_LOW_THR": 0.3}, NO_GO),
+        (BATTERY, {"BAT_EMERGEN_THR": 0.3, "BAT_LOW_THR": 0.3}, NO_GO),
+        (BATTERY, {"BAT_CRIT_THR": 0.2}, WARNING),
+        ("motors idle", {"COM_DISARM_PRFLT": 2}, NO_GO),
+        ("motors idle", {"COM_DISARM_PRFLT": -1}, GO),
+        ("failsafe's delay", {"COM_FAIL_ACT_T": 0}, GO),
+        ("failsafe's delay", {"COM_FAIL_ACT_T": 25}, NO_GO),
+    ],
+)
+def test_a_set_up_is_judged_and_what_mends_it_mends_it(
+    name: str, parameters: dict[str, float], verdict: Verdict
+):
+    facts = replace(FACTS, parameters=GOOD | parameters)
+    finding = _found(name, facts)
+    assert finding.judgement.verdict is verdict, finding
+    mends = finding.judgement.mends
+    if verdict is NO_GO:
+        assert mends, "no-go names what mends it"
+    if mends:
+        mended = replace(FACTS, parameters=GOOD | parameters | mends)
+        assert _found(name, mended).judgement.verdict is GO
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "verdict"),
+    [
+        ("arming checks", {"unready": "no good absolute position"}, NO_GO),
+        ("estimate", {"estimate_doubts": ("no height",)}, NO_GO),
+        ("GPS", _gps(is_3d=False), NO_GO),
+        ("GPS", _gps(num_satellites=5), NO_GO),
+        ("GPS", _gps(num_satellites=7), WARNING),
+        ("GPS", _gps(num_satellites=None, dilution=None), GO),
+        ("GPS", _gps(dilution=2.2), WARNING),
+        ("GPS", _gps(dilution=9.9), NO_GO),
+        ("GPS", {"gps": None}, WARNING),
+        ("battery", {"battery": None}, WARNING),
+        ("battery", {"battery": 0.25}, NO_GO),
+        ("battery", {"battery": 0.4}, WARNING),
+        ("pilot takes over", {"has_sticks": False}, WARNING),
+        ("remote ID", {"remote_id": ""}, GO),
+        ("remote ID", {"remote_id": "no operator"}, NO_GO),
+        ("camera", {"sight": CameraError("no picture came")}, NO_GO),
+        ("camera", {"sight": Sight(wait_s=9.0, age_s=0.0)}, WARNING),
+        ("detector", {"detector": "it failed"}, NO_GO),
+        ("disk", {"free_bytes": 99}, NO_GO),
+        ("height of the return", {"away_m": 5000.0}, NO_GO),
+    ],
+)
+def test_what_it_is_flown_with_is_judged(name: str, changes: dict[str, Any], verdict: Verdict):
+    assert _found(name, replace(FACTS, **changes)).judgement.verdict is verdict
+
+
+@pytest.mark.parametrize(("action", "verdict"), [(1, WARNING), (2, GO), (3, WARNING), (6, NO_GO)])
+def test_without_a_remote_control_lost_setpoints_do_what_its_loss_does(action, verdict):
+    parameters = GOOD | {"COM_OBL_RC_ACT": 0, "NAV_RCL_ACT": action}
+    facts = replace(FACTS, parameters=parameters, has_sticks=False)
+    assert _found("setpoints lost", facts).judgement.verdict is verdict
+
+
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.name)
+def test_a_parameter_that_is_missing_or_unreadable_is_said(row):
+    for name in row.parameters:
+        without = {key: value for key, value in GOOD.items() if key != name}
+        finding = _found(row.name, replace(FACTS, parameters=without))
+        assert finding.judgement.verdict is WARNING
+        assert f"no {name}" in finding.judgement.meaning
+        finding = _found(row.name, replace(FACTS, parameters=GOOD | {name: float("nan")}))
+        assert finding.judgement.verdict is NO_GO
+        assert name in finding.judgement.meaning
