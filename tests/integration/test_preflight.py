@@ -29,6 +29,7 @@ ROOT = Path(__file__).parents[2]
 beside_a_px4 = pytest.mark.skipif(not PX4, reason="no PX4 is named by DRONEMON_PX4")
 
 
+@pytest.mark.slow
 def test_each_wrong_set_up_is_refused_with_what_mends_it(mock_vehicle: StartMockVehicle):
     vehicle = mock_vehicle("animals", "--speed-up", "4")
     assert asyncio.run(wrong_setups.refused(vehicle.url)) == []
