@@ -73,7 +73,7 @@ class Reason(StrEnum):
     INTERRUPTED = "a person asked for the return"
     BATTERY_LOW = "the battery is at its limit"
     TIME_UP = "it has been in the air for as long as its battery is said to last until the return"
-    OFF_HEIGHT = "the drone left its height by more than wind explains; it returns"
+    OFF_PATH = "the drone left its path or its height by more than wind explains; it returns"
     STUCK = "the drone makes no way, as against too strong a wind; it returns"
     BLIND = "no picture could be taken and read for too long; the drone returns"
     HORIZON = "the horizon is flown"
@@ -113,6 +113,7 @@ class Situation:
     is_holding, is_coming_down: whether the mode is hold; whether it is return or land.
     is_failsafe_long: whether a failsafe has held for longer than it does before it acts.
     is_position_back: whether it was lost on this flight, and no return was refused since.
+    is_overridden: whether a landing that we had begun was left, and a pilot's sticks are heard.
     is_down_under_way: whether the way down was confirmed, and nothing has broken it since.
     is_on_ground_long: whether it should have disarmed by itself.
     times_interrupted: how often a person asked: to return, to land here, to end the program.
@@ -128,7 +129,7 @@ class Situation:
     is_position_good: bool = True
     is_battery_low: bool = False
     is_time_up: bool = False
-    is_off_height: bool = False
+    is_off_path: bool = False
     is_stuck: bool = False
     is_blind: bool = False
     is_offboard: bool = False
@@ -138,6 +139,7 @@ class Situation:
     is_coming_down: bool = False
     is_position_back: bool = False
     is_down_under_way: bool = False
+    is_overridden: bool = False
     times_interrupted: int = 0
     is_horizon_flown: bool = False
     is_planner_late: bool = False
@@ -219,7 +221,7 @@ TABLE = (
     Row(_PATROLLING, lambda s: s.is_battery_low, State.RETURNING, Action.LEAVE, Reason.BATTERY_LOW),
     Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
     Row(_PATROLLING, lambda s: s.is_time_up, State.RETURNING, Action.LEAVE, Reason.TIME_UP),
-    Row(_PATROLLING, lambda s: s.is_off_height, State.RETURNING, Action.LEAVE, Reason.OFF_HEIGHT),
+    Row(_PATROLLING, lambda s: s.is_off_path, State.RETURNING, Action.LEAVE, Reason.OFF_PATH),
     Row(_PATROLLING, lambda s: s.is_stuck, State.RETURNING, Action.LEAVE, Reason.STUCK),
     Row(_PATROLLING, lambda s: s.is_blind, State.RETURNING, Action.LEAVE, Reason.BLIND),
     Row(_PATROLLING, lambda s: s.is_planner_late,
@@ -244,6 +246,9 @@ TABLE = (
     Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_coming_down,
         State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_FLIES),
     Row(_FAILSAFE, lambda s: not s.is_failsafe, State.PILOT, Action.OFFER, Reason.FAILSAFE_OVER),
+    # Without a position PX4 calls what a pilot flies by sticks a failsafe, too.
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_overridden,
+        State.PILOT, Action.WAIT, Reason.FAILSAFE_STICKS),
     Row(HOMEWARD, lambda s: _is_failsafe_in(s) and not s.is_position_good,
         State.LANDING, Action.LEAVE, Reason.FAILSAFE_HOVERS),
     Row(HOMEWARD, lambda s: _is_failsafe_in(s) and not s.is_failsafe_long,

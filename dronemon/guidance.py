@@ -85,9 +85,16 @@ class Carrot:
         self._acceleration_m_s2 = max_acceleration_m_s2
         self._speed_m_s = min(ground_speed_m_s, speed_m_s)  # of a vehicle on the path
         self._legs: deque[_Leg] = deque()
+        self.off_m = 0.0
+        """How far the vehicle is from the carrot."""
         self.end_m = start_m
         """Last waypoint of the path."""
         self._s_m = 0.0
+
+    @property
+    def travelled_m(self) -> float:
+        """Path behind the carrot."""
+        return self._s_m
 
     @property
     def remaining_m(self) -> float:
@@ -118,6 +125,7 @@ class Carrot:
         while len(self._legs) > 1 and self._legs[0].end_m < self._s_m - self.window_m:
             self._legs.popleft()
         position_m, velocity_m_s = self._motion(self._s_m, self._speed_m_s)
+        self.off_m = math.dist(position_m, vehicle_m)
         ahead_m = min(rate_m_s * _PREVIEW_S, self.remaining_m)
         soon_m_s = self._speed_after(_PREVIEW_S, self.remaining_m - ahead_m)
         _, then_m_s = self._motion(self._s_m + ahead_m, soon_m_s)

@@ -65,6 +65,7 @@ class FakeVehicle:
         self.setpoint_limit_s = _SETPOINT_LIMIT_S
         self.height_error_m = 0.0
         self.climb_m_s = self.speed_m_s = _SPEED_M_S
+        self.drift_m_s = 0.0
         self.parameters = {p.name: float(p.default) for p in PARAMETERS}
         self.parameters |= {"COM_OBL_RC_ACT": 3.0, "COM_RC_OVERRIDE": 3.0, "GF_ACTION": 3.0}
         self.has_sticks = True
@@ -123,6 +124,7 @@ class FakeVehicle:
             for axis in range(3):
                 speed_m_s = self.climb_m_s if axis == 2 else self.speed_m_s
                 self._move(axis, self.setpoint.position_ned_m[axis], speed_m_s)
+            self.position[0] += self.drift_m_s * STEP_S
         elif mode is Mode.LAND or (mode is Mode.RETURN and self._is_over_home()):
             self._move(2, 0.0, _CLIMB_M_S)
         elif mode is Mode.RETURN:

@@ -38,9 +38,15 @@ LEFT_ARMED = {Reason.LOST_FOR_GOOD, Reason.LEFT, Reason.PILOT_KEEPS}
 COMMANDS = {Action.RETURN, Action.LAND, Action.DISARM}
 MISSION_FACTS = (
     *("is_sure", "is_on_ground", "is_position_good", "is_battery_low", "is_time_up"),
-    *("is_off_height", "is_stuck", "is_blind", "is_horizon_flown", "is_planner_late"),
+    *("is_off_path", "is_stuck", "is_blind", "is_horizon_flown", "is_planner_late"),
 )
-MODES = ({}, {"is_offboard": True}, {"is_holding": True}, {"is_coming_down": True})
+MODES = (
+    {},
+    {"is_offboard": True},
+    {"is_holding": True},
+    {"is_overridden": True},
+    {"is_coming_down": True},
+)
 GROUND = ({}, {"is_on_ground": True}, {"is_on_ground": True, "is_on_ground_long": True})
 FAILSAFES = ({}, {"is_failsafe": True}, {"is_failsafe": True, "is_failsafe_long": True})
 HOME_FLAGS = ("is_sure", "is_position_good", "is_position_back", "is_down_under_way")
@@ -147,7 +153,7 @@ def test_the_patrol_goes_on_only_while_nothing_is_against_it():
             assert situation.is_position_good
             assert not situation.is_battery_low
             assert not situation.is_time_up
-            assert not situation.is_off_height
+            assert not situation.is_off_path
             assert not situation.is_stuck
             assert not situation.is_blind
             assert not situation.times_interrupted

@@ -37,8 +37,10 @@ _STILL: Point = (0.0, 0.0)
 _NEXT_PICTURE_AU = 0.03
 """A picture due no farther than this after a waypoint is told as taken: no leg is for it alone."""
 _SLOW_S = 1.0
-_OFF_HEIGHT_S = 3.0
-"""Vehicle time for which the drone may be far from its height."""
+_OFF_PATH_S = 3.0
+"""Vehicle time for which the drone may be far from its path or its height."""
+_OFF_PATH_M, _OFF_PATH_CRUISE_S = 10.0, 2.0
+"""How far from its path: so much, and as far as cruise leads in so many seconds."""
 _STANDING_S = 0.5
 """Ways shorter than at cruise in this time are none."""
 _STUCK_S = 30.0
@@ -79,7 +81,7 @@ class Patrol:
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_due = self._is_planner_asked = self._is_slowness_told = False
         self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
-        self._at_height_s = 0.0
+        self._on_path_s = 0.0
         self._drag = Drag()
         self.tally: Tally | None = None
 
@@ -117,12 +119,12 @@ class Patrol:
         pose = self._link.pose
         limit_s = pose.time_s + _CLIMB_LIMIT_S
         while not self._is_at_height(pose):
-            advice = self._supervisor.ask(is_off_height=pose.time_s > limit_s)
+            advice = self._supervisor.ask(is_off_path=pose.time_s > limit_s)
             if advice.action is not Action.GO_ON:
                 return False
             await self._link.send_setpoint(self._setpoint(place_m))
             pose = await self._link.next_pose()
-        self._at_height_s = pose.time_s
+        self._on_path_s = self._got_there_s = pose.time_s
         return True
 
     def _is_at_height(self, pose: Pose) -> bool:
@@ -141,7 +143,7 @@ class Patrol:
             ground_speed_m_s=pose.ground_speed_m_s,
         )
         self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
-        self._stood_since = pose.position_ned_m[:2], pose.time_s
+        self._got_to_m = 0.0
 
     async def _guide(self) -> None:
         while True:
@@ -153,7 +155,7 @@ class Patrol:
             advice = self._supervisor.ask(
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
-                is_off_height=self._is_off_height(pose),
+                is_off_path=self._is_off_path(pose),
                 is_stuck=self._is_stuck(pose),
                 is_blind=self._observer.is_blind(pose.time_s),
             )
@@ -200,19 +202,18 @@ class Patrol:
         )
 
     def _is_stuck(self, pose: Pose) -> bool:
-        """Whether it stays around one place though it has somewhere to go."""
-        here_m, now_s = pose.position_ned_m[:2], pose.time_s
-        from_m, since_s = self._stood_since
-        way_m = _STANDING_S * self._mission.flight.cruise_speed_m_s
-        if self._waiting_since is not None or math.dist(here_m, from_m) > way_m:
-            self._stood_since = here_m, now_s
-        return now_s > since_s + _STUCK_S
+        """Whether it gets no further on its path though it has somewhere to go."""
+        way_m, was_at_m = _STANDING_S * self._mission.flight.cruise_speed_m_s, self._got_to_m
+        if self._waiting_since is not None or self._carrot.travelled_m > was_at_m + way_m:
+            self._got_to_m, self._got_there_s = self._carrot.travelled_m, pose.time_s
+        return pose.time_s > self._got_there_s + _STUCK_S
 
-    def _is_off_height(self, pose: Pose) -> bool:
-        """Whether it has been far from its height for long."""
-        if self._is_at_height(pose):
-            self._at_height_s = pose.time_s
-        return pose.time_s > self._at_height_s + _OFF_HEIGHT_S
+    def _is_off_path(self, pose: Pose) -> bool:
+        """Whether it has been far from its path or its height for long."""
+        far_m = max(_OFF_PATH_M, _OFF_PATH_CRUISE_S * self._mission.flight.cruise_speed_m_s)
+        if self._is_at_height(pose) and self._carrot.off_m <= far_m:
+            self._on_path_s = pose.time_s
+        return pose.time_s > self._on_path_s + _OFF_PATH_S
 
     def _is_planner_late(self, pose: Pose) -> bool:
         if self._waiting_since is None:

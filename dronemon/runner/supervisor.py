@@ -72,7 +72,7 @@ class PatrolFacts(TypedDict, total=False):
 
     is_horizon_flown: bool
     is_planner_late: bool
-    is_off_height: bool
+    is_off_path: bool
     is_stuck: bool
     is_blind: bool
 
@@ -115,6 +115,7 @@ class Supervisor:
         self._down_by_s: float | None = None  # while it is on its way down
         self._time_s = self._armed_s = 0.0  # vehicle time
         self._off_ground_s = self._failsafe_s = -math.inf
+        self._home_by_s = math.inf  # vehicle time at which the battery is at its limit
         self._was_position_lost = self._has_land_worked = False
         self._sure_at = 0  # number of the heartbeat from which "disarmed" is believed
         self._offboard_since: int | None = None  # number of the heartbeat that showed it first
@@ -238,6 +239,9 @@ class Supervisor:
             self._offboard_since = None
         elif self._offboard_since is None:
             self._offboard_since = number
+        if state.battery is not None:  # else the last level known counts, as it is used up
+            usable = (state.battery - self._return_battery) / max(1.0 - self._return_battery, 1e-9)
+            self._home_by_s = now_s + usable * self._max_airborne_s
         is_on_ground = state.landed is Landed.ON_GROUND
         return Situation(
             state=self.state,
@@ -248,7 +252,7 @@ class Supervisor:
             is_on_ground=is_on_ground,
             is_on_ground_long=is_on_ground and now_s > self._off_ground_s + DISARM_LIMIT_S,
             is_position_good=state.is_position_good,
-            is_battery_low=state.battery is not None and state.battery <= self._return_battery,
+            is_battery_low=now_s >= self._home_by_s,
             is_time_up=self.was_armed and now_s > self._armed_s + self._max_airborne_s,
             is_offboard=self._offboard_since is not None and number > self._offboard_since,
             is_holding=state.mode is Mode.HOLD,
@@ -257,6 +261,9 @@ class Supervisor:
             is_coming_down=state.mode in {Mode.RETURN, Mode.LAND},
             is_position_back=state.is_position_good and self._was_position_lost,
             is_down_under_way=self._down_by_s is not None,
+            is_overridden=self._has_land_worked
+            and state.has_sticks
+            and state.mode not in {Mode.HOLD, Mode.RETURN, Mode.LAND},
             times_interrupted=self._interrupts.count,
             is_lost_for_long=self._interrupts.is_hopeless
             or asyncio.get_running_loop().time() > self._heard_at + LOST_LINK_LIMIT_S,

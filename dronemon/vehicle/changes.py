@@ -39,7 +39,7 @@ class Changes:
         self._refuse_if_armed()
         present = await self._link.read_parameters(settings)
         for name in settings:
-            if not math.isfinite(present.get(name, 0.0)):
+            if not math.isfinite(present.get(name, math.nan)):
                 raise CommandRejected(
                     f"{name}: its present value cannot be read over this link, and so not be put "
                     "back; set it with a ground station"
@@ -48,7 +48,6 @@ class Changes:
         new = {
             name: {"old": kept.get(name, {"old": present[name]})["old"], "new": as_float32(value)}
             for name, value in settings.items()
-            if name in present
         }
         _save(self._path, kept | new)
         for name, value in settings.items():

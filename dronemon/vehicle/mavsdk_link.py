@@ -222,7 +222,6 @@ class MavsdkLink:
 
     async def disarm(self) -> None:
         """Stop the motors; only on the ground."""
-        self.release()
         await self._confirm("disarming", Command.arm(False), lambda: not self.state.is_armed)
         await self._leave_take_off()
 

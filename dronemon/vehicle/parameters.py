@@ -17,7 +17,7 @@ from dronemon.errors import CommandRejected, OptionError
 
 _INT32: int = mavlink.MAV_PARAM_TYPE_INT32
 _REAL32: int = mavlink.MAV_PARAM_TYPE_REAL32
-_TRIES = 6
+_TRIES = 12
 Send = Callable[..., Awaitable[None]]
 
 

@@ -53,6 +53,7 @@ targets:
 
 
 LONGER = MISSION.replace("horizon_au: 0.8", "horizon_au: 4")
+FASTER = LONGER.replace("speed_m_s: 5", "speed_m_s: 12")
 FLIGHT_LIMIT_S = 3000.0
 
 
@@ -233,7 +234,7 @@ def test_a_planner_that_steps_to_the_next_picture_is_not_asked_for_centimetres(f
         return Waypoint(position_au=step_towards(here_au, corners_au[0], step_au))
 
     flight.planner.next_waypoint = step
-    flight.mission_text = LONGER.replace("speed_m_s: 5", "speed_m_s: 12")
+    flight.mission_text = FASTER
     assert flight.fly().outcome == "completed"
     legs_au = [
         math.dist(event.position_au, event.waypoint_au)
@@ -436,11 +437,17 @@ def _takes(duration_s: float) -> Callable[..., tuple[()]]:
 def test_a_slow_detector_is_not_blamed_on_the_planner(flight):
     """A waypoint that is due waits for one picture at most, and the planner's time counts then."""
     flight.on_link = lambda link: setattr(flight.detector, "detect", _takes(2.9))
-    flight.mission_text = LONGER.replace("speed_m_s: 5", "speed_m_s: 12").replace("au: 4", "au: 2")
+    flight.mission_text = FASTER.replace("au: 4", "au: 2")
     result = flight.fly()
     assert (result.outcome, result.error) == ("completed", None)
     assert "detector slow" in flight.record.kinds
     assert "planner slow" not in flight.record.kinds
+
+
+def test_no_more_pictures_are_taken_than_a_slow_detector_can_look_at(flight):
+    flight.on_link = lambda link: setattr(flight.detector, "detect", _takes(2.9))
+    flight.mission_text = FASTER
+    _comes_home(flight, flight.fly())
     assert flight.record.texts("8 pictures wait") > 0
 
 
@@ -502,6 +509,22 @@ def test_lost_gps_lands_here(flight):
     assert flight.commands[-1] == "land"
     assert result.landing_error_m is None, "where it is, is not known"
     _comes_home(flight, result)
+
+
+def test_a_pilot_may_take_over_a_landing_without_gps(flight):
+    """PX4 flies POSITION as ALTITUDE then, and calls it a failsafe."""
+    commands: list[str] = []
+
+    def take_over() -> None:
+        flight.link.vehicle.choose(Mode.POSITION)
+        commands.extend(flight.link.commands)
+        flight.later(30.0, lambda: flight.ask(2))
+
+    flight.when("homecoming", lambda: flight.later(2.0, take_over))
+    result = flight.fly("gps@12")
+    assert commands[-1] == "land"
+    assert flight.link.commands == commands
+    assert not result.is_landed
 
 
 def test_gps_that_comes_back_in_the_descent_brings_it_home(flight):
@@ -836,7 +859,7 @@ def test_a_drone_that_leaves_its_height_returns(flight):
 
     flight.when("patrol", sink)
     result = flight.fly()
-    assert Reason.OFF_HEIGHT in flight.reasons
+    assert Reason.OFF_PATH in flight.reasons
     _comes_home(flight, result)
 
 
@@ -844,6 +867,17 @@ def test_a_drone_that_makes_no_way_returns(flight):
     flight.when("patrol", lambda: setattr(flight.link.vehicle, "speed_m_s", 0.0))
     result = flight.fly()
     assert Reason.STUCK in flight.reasons
+    _comes_home(flight, result)
+
+
+def test_a_drone_that_is_blown_away_returns_at_once(flight):
+    def blow() -> None:
+        flight.link.vehicle.speed_m_s, flight.link.vehicle.drift_m_s = 0.0, 4.0
+
+    flight.when("patrol", blow)
+    result = flight.fly()
+    assert Reason.OFF_PATH in flight.reasons
+    assert result.tally.flown_m < 40.0
     _comes_home(flight, result)
 
 

@@ -82,7 +82,7 @@ def test_a_value_is_set_and_read_back_though_answers_are_lost(name, value):
 def test_a_value_that_the_vehicle_does_not_take_is_an_error():
     vehicle = Vehicle()
     vehicle.is_stubborn = True
-    with pytest.raises(CommandRejected, match="A_NUMBER: asked for 7 6 times, the vehicle says 3"):
+    with pytest.raises(CommandRejected, match="A_NUMBER: asked for 7 12 times, the vehicle says 3"):
         vehicle.write("A_NUMBER", 7)
     with pytest.raises(CommandRejected, match="has no parameter NONE"):
         vehicle.write("NONE", 7)
