@@ -19,7 +19,7 @@ MEANT = (*Telemetry().messages, "COMMAND_ACK", "PING", "PARAM_VALUE")
 
 
 @pytest.mark.timeout(250)
-@pytest.mark.parametrize("num_batches", [25, pytest.param(250, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("num_batches", [10, pytest.param(250, marks=pytest.mark.slow)])
 def test_any_datagrams_leave_the_link_whole(num_batches, capfd):
     air = Air()
     air.beats((1, 1), Mode.HOLD)
