@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypedDict
 
 
 class State(StrEnum):
@@ -113,7 +114,7 @@ class Situation:
     is_holding, is_coming_down: whether the mode is hold; whether it is return or land.
     is_failsafe_long: whether a failsafe has held for longer than it does before it acts.
     is_position_back: whether it was lost on this flight, and no return was refused since.
-    is_overridden: whether a landing that we had begun was left, and a pilot's sticks are heard.
+    is_overridden: whether we have landed it before on this flight, and a pilot's sticks are heard.
     is_down_under_way: whether the way down was confirmed, and nothing has broken it since.
     is_on_ground_long: whether it should have disarmed by itself.
     times_interrupted: how often a person asked: to return, to land here, to end the program.
@@ -144,6 +145,16 @@ class Situation:
     is_horizon_flown: bool = False
     is_planner_late: bool = False
     is_lost_for_long: bool = False
+
+
+class PatrolFacts(TypedDict, total=False):
+    """What only the patrol can tell the guard; see Situation."""
+
+    is_horizon_flown: bool
+    is_planner_late: bool
+    is_off_path: bool
+    is_stuck: bool
+    is_blind: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +258,7 @@ TABLE = (
         State.FAILSAFE, Action.WATCH, Reason.FAILSAFE_FLIES),
     Row(_FAILSAFE, lambda s: not s.is_failsafe, State.PILOT, Action.OFFER, Reason.FAILSAFE_OVER),
     # Without a position PX4 calls what a pilot flies by sticks a failsafe, too.
-    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_overridden,
+    Row(HOMEWARD, lambda s: _is_failsafe_in(s) and s.is_overridden and not s.is_holding,
         State.PILOT, Action.WAIT, Reason.FAILSAFE_STICKS),
     Row(HOMEWARD, lambda s: _is_failsafe_in(s) and not s.is_position_good,
         State.LANDING, Action.LEAVE, Reason.FAILSAFE_HOVERS),

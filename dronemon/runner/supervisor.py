@@ -7,7 +7,7 @@ import contextlib
 import logging
 import math
 from collections.abc import Awaitable, Callable
-from typing import TypedDict, Unpack
+from typing import Unpack
 
 from dronemon.errors import (
     CameraError,
@@ -25,6 +25,7 @@ from dronemon.guard import (
     MISSION,
     Action,
     Advice,
+    PatrolFacts,
     Reason,
     Setback,
     Situation,
@@ -65,16 +66,6 @@ _INTERRUPTS = {
     State.PILOT: "the pilot flies on; a second Ctrl-C ends the program and leaves it to the pilot",
     State.LANDING: "the drone is landing here already",
 }
-
-
-class PatrolFacts(TypedDict, total=False):
-    """What only the patrol can tell the guard; see Situation."""
-
-    is_horizon_flown: bool
-    is_planner_late: bool
-    is_off_path: bool
-    is_stuck: bool
-    is_blind: bool
 
 
 class Supervisor:
@@ -223,7 +214,8 @@ class Supervisor:
         if not self.was_armed:
             self.was_armed, self._armed_s = True, self._time_s
 
-    def _situation(self, patrol: PatrolFacts) -> Situation:
+    def _keep_track(self) -> None:
+        """Keep what the newest state alone does not tell: since when something has been so."""
         state, number = self._link.state, self._link.num_heartbeats
         with contextlib.suppress(VehicleError):  # not heard yet
             self._time_s = self._link.time_s
@@ -242,6 +234,10 @@ class Supervisor:
         if state.battery is not None:  # else the last level known counts, as it is used up
             usable = (state.battery - self._return_battery) / max(1.0 - self._return_battery, 1e-9)
             self._home_by_s = now_s + usable * self._max_airborne_s
+
+    def _situation(self, patrol: PatrolFacts) -> Situation:
+        self._keep_track()
+        state, number, now_s = self._link.state, self._link.num_heartbeats, self._time_s
         is_on_ground = state.landed is Landed.ON_GROUND
         return Situation(
             state=self.state,
@@ -261,9 +257,7 @@ class Supervisor:
             is_coming_down=state.mode in {Mode.RETURN, Mode.LAND},
             is_position_back=state.is_position_good and self._was_position_lost,
             is_down_under_way=self._down_by_s is not None,
-            is_overridden=self._has_land_worked
-            and state.has_sticks
-            and state.mode not in {Mode.HOLD, Mode.RETURN, Mode.LAND},
+            is_overridden=self._has_land_worked and state.has_sticks,
             times_interrupted=self._interrupts.count,
             is_lost_for_long=self._interrupts.is_hopeless
             or asyncio.get_running_loop().time() > self._heard_at + LOST_LINK_LIMIT_S,
