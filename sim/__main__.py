@@ -124,6 +124,25 @@ def _add_fault(faults: FaultSchedule, parse: Callable[[str], Fault], text: str) 
 
 
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Options that fit together. A bad one ends the program with what is wrong."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.follow is None and not options.mavlink_out:
+        parser.error("nobody would hear the autopilot: give --mavlink-out or --follow")
+    if options.follow is not None and (
+        options.mavlink_out or options.speed_up or options.signing_key
+    ):
+        parser.error(
+            "--follow has no autopilot: --mavlink-out, --speed-up, --signing-key do not apply"
+        )
+    try:
+        options.fault = [_parser_of_faults(options)(text) for text in options.fault]
+    except ValueError as exc:
+        parser.error(f"--fault: {exc}")
+    return options
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m sim", description=__doc__)
     parser.add_argument("mission", help="mission file, or the name of a shipped mission")
     parser.add_argument(
@@ -157,20 +176,7 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         help="32 bytes; sign what is sent and hear only what is signed (MAVLink 2)",
     )
     parser.add_argument("--parent", action="store_true", help="end when stdin closes")
-    options = parser.parse_args(arguments)
-    if options.follow is None and not options.mavlink_out:
-        parser.error("nobody would hear the autopilot: give --mavlink-out or --follow")
-    if options.follow is not None and (
-        options.mavlink_out or options.speed_up or options.signing_key
-    ):
-        parser.error(
-            "--follow has no autopilot: --mavlink-out, --speed-up, --signing-key do not apply"
-        )
-    try:
-        options.fault = [_parser_of_faults(options)(text) for text in options.fault]
-    except ValueError as exc:
-        parser.error(f"--fault: {exc}")
-    return options
+    return parser
 
 
 def _parser_of_faults(options: argparse.Namespace) -> Callable[[str], Fault]:
