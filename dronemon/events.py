@@ -1,7 +1,8 @@
 """What happens in a flight: one stream of frozen events, told to whoever wants them.
 
-The critical subscriber, the record, comes first: what it is told is on disk before it is used, and
-its failure ends the flight. All others get what they can: one that raises is counted, never heard.
+The critical subscriber, the record, comes first: what it is told goes to the disk at once, and its
+failure ends the flight. Nobody waits for a disk or a terminal: a drone flies meanwhile. All others
+get what they can: one that raises is counted, never heard.
 A new fact is a class here and a case in the subscriber that wants it.
 """
 

@@ -7,9 +7,9 @@
     flight.rrd           pictures, beliefs and time series for the Rerun viewer (written by `viz`)
     summary.json         `"outcome": "in flight"` from the start, replaced as a whole at the end
 
-Each line is one write and one fsync (0.2 ms median on a solid-state disk): lines come seconds of
-flight apart, and a drone that loses power loses none. A line that cannot be written whole is taken
-back.
+Each line is one write and one fsync (0.2 ms median on a solid-state disk, half a second on one that
+is busy), in a thread of its own so that no setpoint waits. A line that cannot be written whole is
+taken back.
 """
 
 from __future__ import annotations
@@ -19,20 +19,18 @@ import hashlib
 import itertools
 import json
 import math
-import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from dronemon.durable import replace_text, write_all, write_new
+from dronemon.durable import LineWriter, replace_text, write_new
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Event, Measured, Noted
 from dronemon.mission import Mission
@@ -56,17 +54,16 @@ NEEDED_BYTES = 100_000_000
 class RunRecorder:
     """Writes one run folder.
 
-    The first line that cannot be written raises, which makes the caller bring the drone home; the
-    way home is not interrupted by later ones, which are counted in `lost_lines`.
+    The next event after a line that could not be written raises, which makes the caller bring the
+    drone home; `lost_lines` counts them.
     """
 
     def __init__(self, folder: RunFolder, names: Sequence[str], *, is_new: bool) -> None:
         self.folder = folder
         self._is_new = is_new
-        self.lost_lines = 0
         self._names = tuple(names)
         self._started = _stamp("seconds")
-        self._logs = {name: (folder.path / name).open("xb", buffering=0) for name in LINE_FILES}
+        self._lines = LineWriter(folder.path / name for name in LINE_FILES)
 
     @classmethod
     def create(
@@ -104,7 +101,7 @@ class RunRecorder:
         self.close()
 
     def take(self, event: Event) -> None:
-        """Record what the folder has a line for. Raises RecordError the first time it cannot."""
+        """Record what the folder has a line for. Raises RecordError if a line before was lost."""
         match event:
             case Measured():
                 self._append(OBSERVATIONS_FILE, self._observation(event))
@@ -114,6 +111,8 @@ class RunRecorder:
                 said: dict[str, object] = {"time_s": event.time_s, "wall": _stamp("milliseconds")}
                 said |= {"kind": event.kind, "text": event.text, **event.fields}
                 self._append(EVENTS_FILE, said)
+        with self._naming_the_disk():
+            self._lines.check()
 
     def _observation(self, event: Measured) -> dict[str, object]:
         measurement = event.measurement
@@ -130,9 +129,19 @@ class RunRecorder:
         }
 
     @property
+    def lost_lines(self) -> int:
+        """Number of lines that could not be written."""
+        return self._lines.num_lost
+
+    @property
     def is_empty(self) -> bool:
-        """Whether no line has been recorded."""
-        return not any(log.tell() for log in self._logs.values())
+        """Whether there was nothing to record."""
+        return not self._lines.num_lines
+
+    def flush(self) -> None:
+        """Wait until all lines so far are on disk. Raises RecordError if one is not."""
+        with self._naming_the_disk():
+            self._lines.flush()
 
     def discard(self) -> None:
         """Remove a run in which nothing happened; the folder too if it was made for it alone."""
@@ -149,6 +158,8 @@ class RunRecorder:
 
         Raises RecordError if it cannot be written; the summary from the start then stays.
         """
+        with contextlib.suppress(RecordError):  # counted in the summary
+            self.flush()
         try:
             files = {
                 name: _fingerprint(self.folder.path / name)
@@ -166,16 +177,19 @@ class RunRecorder:
 
     def close(self) -> None:
         """Close all files; the folder stays as it is."""
-        for log in self._logs.values():
-            log.close()
+        self._lines.close()
 
     def _append(self, name: str, record: Mapping[str, object]) -> None:
+        self._lines.add(self.folder.path / name, _json_line(record))
+
+    @contextlib.contextmanager
+    def _naming_the_disk(self) -> Iterator[None]:
         try:
-            _append(self._logs[name], _json_line(record))
+            yield
         except OSError as exc:
-            self.lost_lines += 1
+            where = exc.filename or self.folder.path
             raise RecordError(
-                f"cannot write {self.folder.path / name}: {exc.strerror}; free space on its disk"
+                f"cannot write {where}: {exc.strerror}; free space on its disk"
             ) from exc
 
     def _write_summary(self, summary: Mapping[str, object]) -> None:
@@ -238,19 +252,6 @@ class RunFolder:
             for name, fingerprint in files.items()
             if not (self.path / name).exists() or _fingerprint(self.path / name) != fingerprint
         ]
-
-
-def _append(file: FileIO, line: bytes) -> None:
-    """Add one whole, synced line, or nothing and raise OSError."""
-    end = file.tell()
-    try:
-        write_all(file, line)
-        os.fsync(file)
-    except OSError:
-        with contextlib.suppress(OSError):
-            file.truncate(end)
-            file.seek(end)
-        raise
 
 
 def _as_flown(mission: Mission) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
+import threading
 from collections.abc import Iterable, Mapping
 from typing import Any
 from unicodedata import category
@@ -16,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dronemon.events import Event, Level, Noted, Progressed
+from dronemon.waiting import BoundedQueue
 
 
 class LenientConsole(Console):
@@ -58,6 +60,8 @@ _STYLES: dict[Level, str] = {"INFO": "cyan", "WARN": "yellow", "ERROR": "bold re
 _COMMANDING = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _PLAIN_STEP = 0.1
 _BAR_WIDTH = 24
+_MAX_WAITING = 1000
+_CLOSE_S = 3.0
 
 
 class _Forgiving(io.FileIO):
@@ -86,32 +90,48 @@ def forgive_outputs() -> None:
 
 
 class FlightDisplay:
-    """Shows a flight while it lasts. Without a terminal it prints a line every tenth of the way."""
+    """Shows a flight while it lasts. Without a terminal it prints a line every tenth of the way.
+
+    A thread does it: a terminal may be stopped (Ctrl-S) while the drone flies.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._live = Live(console=console, refresh_per_second=4, transient=True)
         self._phase = ""
         self._next_share = _PLAIN_STEP
+        self._queue = BoundedQueue[Event](max_items=_MAX_WAITING)
+        self._thread = threading.Thread(target=self._work, name="terminal", daemon=True)
 
     def __enter__(self) -> FlightDisplay:
-        if self._console.is_terminal:
-            self._live.start()
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._live.stop()
+        self._queue.close(_CLOSE_S)
+        self._thread.join(_CLOSE_S)
 
     def take(self, event: Event) -> None:
-        """Show what a person wants to know of it; errors go to standard error."""
-        match event:
-            case Progressed():
-                self._show(event)
-            case Noted():
-                console = _errors if event.level == "ERROR" else self._console
-                kind = (f"{event.kind}: ", _STYLES[event.level])
-                text = " ".join(event.text.splitlines())
-                console.print(Text.assemble(kind, text), soft_wrap=True)
+        """Show what a person wants to know of it; errors go to standard error.
+
+        Raises BufferError if the terminal has stood still for long.
+        """
+        if isinstance(event, Progressed | Noted) and not self._queue.put(event):
+            raise BufferError("the terminal stands still")
+
+    def _work(self) -> None:
+        if self._console.is_terminal:
+            self._live.start()
+        for event in self._queue:
+            match event:
+                case Progressed():
+                    self._show(event)
+                case Noted():
+                    console = _errors if event.level == "ERROR" else self._console
+                    kind = (f"{event.kind}: ", _STYLES[event.level])
+                    text = " ".join(event.text.splitlines())
+                    console.print(Text.assemble(kind, text), soft_wrap=True)
+        self._live.stop()
 
     def _show(self, status: Progressed) -> None:
         if self._console.is_terminal:

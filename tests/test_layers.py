@@ -20,6 +20,7 @@ LAYERS = {
     "card": 0,
     "durable": 0,
     "workers": 0,
+    "waiting": 0,
     "terminal": 0,
     "sightings": 1,
     "belief": 1,
@@ -57,6 +58,7 @@ ORDER_IN_LAYER_0 = (
     "card",
     "durable",
     "workers",
+    "waiting",
     "terminal",
 )
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}

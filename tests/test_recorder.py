@@ -3,6 +3,7 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -153,11 +154,12 @@ def test_a_write_that_fails_raises_and_leaves_whole_lines(tmp_path: Path) -> Non
         ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (300, limits[1]))
         try:
-            with pytest.raises(RecordError, match="free space"):
-                run.take(noted("long", "x" * 400, 2.0))
-            with pytest.raises(RecordError, match="free space"):
-                run.take(noted("long", "x" * 400, 3.0))
+            for time_s in (2.0, 3.0):
+                run.take(noted("long", "x" * 400, time_s))
+                with pytest.raises(RecordError, match=r"events\.jsonl: File too large; free space"):
+                    run.flush()
             run.take(noted("short", "returning", 4.0))
+            run.flush()
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
             signal.signal(signal.SIGXFSZ, ignored)
@@ -165,6 +167,30 @@ def test_a_write_that_fails_raises_and_leaves_whole_lines(tmp_path: Path) -> Non
         run.finish("failed", {})
     assert [event["kind"] for event in run.folder.events()] == ["armed", "short"]
     assert run.folder.summary()["lost_lines"] == 2
+
+
+def test_a_disk_that_takes_its_time_holds_up_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    is_disk_busy, is_disk_back = threading.Event(), threading.Event()
+
+    def fsync(_: object) -> None:
+        is_disk_busy.set()
+        is_disk_back.wait()
+
+    with create(tmp_path) as run:
+        monkeypatch.setattr("os.fsync", fsync)
+        for number in range(100):
+            run.take(noted("tick", "", float(number)))
+        assert is_disk_busy.wait(10.0)
+        monkeypatch.setattr("dronemon.durable.SILENT_DISK_S", 0.0)
+        with pytest.raises(RecordError, match=r"cannot write .*: its disk takes nothing for 0 s"):
+            run.take(noted("late", ""))
+        monkeypatch.undo()
+        is_disk_back.set()
+        run.flush()
+    assert len(list(run.folder.events())) == 101
+    assert run.lost_lines == 0
 
 
 WRITER = """
@@ -179,6 +205,7 @@ run = RunRecorder.create(mission, out=Path(sys.argv[1]))
 for number in itertools.count():
     fields = {"number": number}
     run.take(Noted(time_s=float(number), kind="tick", text="x" * 200, level="INFO", fields=fields))
+    run.flush()
     print(number, flush=True)
 """
 

@@ -6,6 +6,7 @@ import io
 import os
 import subprocess
 import sys
+import threading
 from typing import NoReturn
 from unicodedata import category
 
@@ -71,6 +72,32 @@ def test_what_others_say_commands_no_terminal(is_terminal: bool):
     assert {c for c in shown if category(c) in {"Cc", "Cf", "Cs"}} <= {"\n"}
     assert "autopilot: a\ufffd[2J\ufffd]0;bc\ufffd31m\ufffdd\ufffde f\n" in shown
     assert console.dropped == 0
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_a_terminal_that_stands_still_holds_up_nobody(
+    is_terminal: bool, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("dronemon.terminal._CLOSE_S", 0.0)
+    is_stopped, goes_on = threading.Event(), threading.Event()
+
+    class Stopped(io.StringIO):
+        def write(self, text: str) -> int:
+            is_stopped.set()
+            goes_on.wait()
+            return len(text)
+
+    console = LenientConsole(file=Stopped(), force_terminal=is_terminal)
+    note = Noted(time_s=1.0, kind="a", text="b", level="INFO", fields={})
+    with FlightDisplay(console) as display:
+        display.take(note)
+        assert is_stopped.wait(10.0)
+        for _ in range(999):
+            display.take(note)
+        with pytest.raises(BufferError, match="stands still"):  # noqa: PT012
+            display.take(note)
+            display.take(note)
+    goes_on.set()
 
 
 def test_what_cannot_be_drawn_is_counted():

@@ -18,7 +18,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from dronemon.errors import ViewError
-from dronemon.viz.queue import BoundedQueue
+from dronemon.waiting import BoundedQueue
 
 LOOPBACK = "127.0.0.1"
 PAGE_PORT = 9090

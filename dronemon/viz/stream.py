@@ -22,7 +22,7 @@ from dronemon.viz.drawing import Drawing
 from dronemon.viz.entities import blueprint
 from dronemon.viz.file import RecordingFile
 from dronemon.viz.page import LivePage
-from dronemon.viz.queue import BoundedQueue
+from dronemon.waiting import BoundedQueue
 
 POSE_INTERVAL_S = 0.2
 FLUSH_S, LIVE_FLUSH_S = 2.0, 0.5

@@ -15,7 +15,7 @@ T = TypeVar("T")
 class BoundedQueue(Generic[T]):
     """Items for one worker, limited in number and bytes; `dropped` counts what is turned away."""
 
-    def __init__(self, *, max_items: float = math.inf, max_bytes: int) -> None:
+    def __init__(self, *, max_items: float = math.inf, max_bytes: float = math.inf) -> None:
         self.dropped = 0
         self._max_items, self._max_bytes = max_items, max_bytes
         self._items: deque[tuple[T, int]] = deque()
