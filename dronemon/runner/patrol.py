@@ -36,7 +36,8 @@ SETPOINT_INTERVAL_S = 0.05
 _STILL: Point = (0.0, 0.0)
 _NEXT_PICTURE_AU = 0.03
 """A picture due no farther than this after a waypoint is told as taken: no leg is for it alone."""
-_SLOW_S = 1.0
+_SLOW_S, _SLOW_WALL_S = 1.0, 0.5
+"""Vehicle time, and wall time, after which it is told that there is no waypoint."""
 _OFF_PATH_S = 3.0
 """Vehicle time for which the drone may be far from its path or its height."""
 _OFF_PATH_M, _OFF_PATH_CRUISE_S = 10.0, 2.0
@@ -219,15 +220,13 @@ class Patrol:
         if self._waiting_since is None:
             return False
         since_s, since = self._waiting_since
-        if not self._is_slowness_told and pose.time_s > since_s + _SLOW_S:
+        waited_s, waited = pose.time_s - since_s, asyncio.get_running_loop().time() - since
+        if not self._is_slowness_told and waited_s > _SLOW_S and waited > _SLOW_WALL_S:
             self._is_slowness_told = True
             who = "planner" if self._is_planner_asked else "detector"
             what = f"no waypoint yet: the drone stays there for {PLANNER_LIMIT_S:g} s at most"
             self._events.note(f"{who} slow", what, level="WARN")
-        return (
-            pose.time_s > since_s + PLANNER_LIMIT_S
-            and asyncio.get_running_loop().time() > since + PLANNER_LIMIT_WALL_S
-        )
+        return waited_s > PLANNER_LIMIT_S and waited > PLANNER_LIMIT_WALL_S
 
     def _ask_for_waypoint(self, pose: Pose) -> None:
         self._is_waypoint_due = self._carrot.needs_waypoint
