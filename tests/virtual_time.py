@@ -28,6 +28,19 @@ def let_time_pass() -> None:
     _hanging.add(threading.current_thread())
 
 
+def take(loop: asyncio.AbstractEventLoop, duration_s: float) -> None:
+    """Called by a detector that is slow: it needs so long, and no more."""
+    is_over, thread = threading.Event(), threading.current_thread()
+
+    def end() -> None:
+        _hanging.discard(thread)
+        is_over.set()
+
+    loop.call_soon_threadsafe(loop.call_later, duration_s, end)
+    let_time_pass()
+    is_over.wait()
+
+
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
     """Jumps to the next timer as soon as nothing else is to be done."""
 

@@ -424,10 +424,7 @@ def _takes(duration_s: float) -> Callable[..., tuple[()]]:
     """A detector that finds nothing, and needs so long for it."""
 
     def detect(*_: object) -> tuple[()]:
-        is_over = threading.Event()
-        loop.call_soon_threadsafe(loop.call_later, duration_s, is_over.set)
-        virtual_time.let_time_pass()
-        is_over.wait()
+        virtual_time.take(loop, duration_s)
         return ()
 
     loop = asyncio.get_running_loop()
