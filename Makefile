@@ -13,7 +13,7 @@ fly: $(VENV)/.installed
 	$(BIN)/dronemon fly $(FLY)
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
