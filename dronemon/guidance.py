@@ -35,7 +35,7 @@ _ASIDE_S = 0.5
 _PREVIEW_S = 0.3
 """Acceleration is the mean over this time to come: the vehicle must tilt first."""
 _ASK_AHEAD_S = 0.25
-"""The next leg is asked for so long before the carrot would brake for want of it."""
+"""The next leg should be there so long before the carrot would brake for want of it."""
 _GRAVITY_M_S2 = 9.80665
 _DOUBT_M2_S2 = 40.0
 """Squares of velocity changes, summed, that it takes to half believe in a drag; at first, none."""
@@ -101,10 +101,10 @@ class Carrot:
         """Path left from the carrot to the last waypoint."""
         return max(self._legs[-1].end_m - self._s_m, 0.0) if self._legs else 0.0
 
-    @property
-    def needs_waypoint(self) -> bool:
-        """Whether the next leg must be known soon."""
-        return self.remaining_m <= self.window_m + _ASK_AHEAD_S * self._cruise_m_s
+    def needs_waypoint(self, answer_s: float = 0.0) -> bool:
+        """Whether to ask for the next leg, which takes `answer_s` to come."""
+        ahead_s = _ASK_AHEAD_S + answer_s
+        return self.remaining_m <= self.window_m + ahead_s * self._cruise_m_s
 
     def extend(self, waypoint_m: Point) -> None:
         """Add a leg from the last waypoint to this one; one on the same spot adds nothing."""

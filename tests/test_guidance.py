@@ -42,11 +42,11 @@ def test_keeps_cruise_speed_on_a_straight_leg():
 
 def test_asks_for_the_next_leg_before_the_end():
     carrot = _carrot()
-    assert carrot.needs_waypoint
+    assert carrot.needs_waypoint()
     carrot.extend((20.0, 0.0))
-    assert not carrot.needs_waypoint
+    assert not carrot.needs_waypoint()
     position = (0.0, 0.0)
-    while not carrot.needs_waypoint:
+    while not carrot.needs_waypoint():
         position, _, _ = carrot.advance(STEP_S, position)
     ahead_m = carrot.remaining_m - carrot.window_m
     assert ahead_m == pytest.approx(0.25 * SPEED, abs=SPEED * STEP_S)

@@ -42,6 +42,9 @@ _OFF_PATH_S = 3.0
 """Vehicle time for which the drone may be far from its path or its height."""
 _OFF_PATH_M, _OFF_PATH_CRUISE_S = 10.0, 2.0
 """How far from its path: so much, and as far as cruise leads in so many seconds."""
+_ANSWER_LIMIT_S = 3.0
+"""A planner is asked at most so much earlier for being slow: later pictures tell it more."""
+_ANSWER_MEMORY = 0.9
 _STANDING_S = 0.5
 """Ways shorter than at cruise in this time are none."""
 _STUCK_S = 30.0
@@ -82,6 +85,7 @@ class Patrol:
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_due = self._is_planner_asked = self._is_slowness_told = False
         self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
+        self._due_s = self._answer_s = 0.0  # since when it is, and how long answers took of late
         self._on_path_s = 0.0
         self._drag = Drag()
         self.tally: Tally | None = None
@@ -229,11 +233,12 @@ class Patrol:
         return waited_s > PLANNER_LIMIT_S and waited > PLANNER_LIMIT_WALL_S
 
     def _ask_for_waypoint(self, pose: Pose) -> None:
-        self._is_waypoint_due = self._carrot.needs_waypoint
+        self._is_waypoint_due = self._carrot.needs_waypoint(self._answer_s)
         if not self._is_waypoint_due:
             self._waiting_since, self._is_planner_asked = None, False
             return
         if self._waiting_since is None:
+            self._due_s = pose.time_s
             self._wait_from(pose)
         self._work.set()
 
@@ -305,6 +310,8 @@ class Patrol:
             )
         )
         self.tally.decision_ms.append(decision_ms)
+        took_s = min(self._link.time_s - self._due_s, _ANSWER_LIMIT_S)
+        self._answer_s = max(took_s, _ANSWER_MEMORY * self._answer_s)
         self._carrot.extend(_point(self._frame.au_to_ned(waypoint_au)))
         self._waypoint_au, self._node = waypoint_au, waypoint.node
 

@@ -41,7 +41,7 @@ def fly_legs(
             _, heard_s, at_m = poses.popleft()
             if heard_s < asked_s + INTERVAL_S - 1e-6:
                 continue
-            if carrot.needs_waypoint:
+            if carrot.needs_waypoint():
                 heading_rad += math.radians(rng.uniform(-110.0, 110.0))
                 way_m, (north, east) = rng.uniform(0.4, 1.0) * leg_m, carrot.end_m
                 carrot.extend(
