@@ -140,7 +140,7 @@ class Observer:
                 cross_track_m=tally.cross_track_m[-1] if tally.cross_track_m else None,
             )
         )
-        tally.times_s.append(picture.time_s)
+        tally.measure(picture.time_s)
         for name, is_seen in zip(self._names, measurement.seen, strict=True):
             if is_seen:
                 tally.last_seen_s[name] = picture.time_s

@@ -251,8 +251,6 @@ class Patrol:
         tally = self.tally
         if tally is None:
             return
-        tally.progress_s.append(pose.time_s)
-        tally.progress_m.append(tally.flown_m)
         due_m = (tally.num_pictures_due + 1) * MEASUREMENT_INTERVAL_AU * self._frame.side_m
         # The nearest setpoint to the due distance is at most half a setpoint's way off.
         ahead_m = 0.5 * SETPOINT_INTERVAL_S * pose.ground_speed_m_s

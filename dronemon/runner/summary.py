@@ -100,10 +100,7 @@ def summarise(
 
 
 def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
-    pictured_m = np.empty(0)
-    if tally.progress_s:
-        pictured_m = np.interp(tally.times_s, tally.progress_s, tally.progress_m)
-    spacing_m = np.diff(pictured_m, prepend=0.0)
+    spacing_m = np.diff(tally.pictured_m, prepend=0.0)
     due_m = MEASUREMENT_INTERVAL_AU * side_m
     return Flown(
         distance_m=tally.flown_m,
