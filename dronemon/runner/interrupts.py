@@ -22,8 +22,9 @@ class Interrupts:
     def request(self) -> None:
         """Ask once more."""
         self.count += 1
-        if self._on_request is not None:
-            self._on_request()
+        leave, self._on_request = self._on_request, None  # it is left once
+        if leave is not None:
+            leave()
 
     def give_up(self) -> None:
         """Say that a vehicle that falls silent will never be heard again."""
