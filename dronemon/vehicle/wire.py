@@ -33,6 +33,7 @@ from dronemon.vehicle.px4 import ANSWERS, AUTOPILOT_COMPONENT, REMOTE_ID_STATUS,
 _LISTEN_S = 1.5
 _SENDS, _RESEND_S = 4, 0.6
 _PINGS = 8
+_SEND_LIMIT_S = 2.0
 _HEARTBEAT_S = 1.0
 _REMOTE_IDS = tuple(getattr(mavlink, f"MAV_COMP_ID_ODID_TXRX_{number}") for number in (1, 2, 3))
 _PARAMS = tuple(f"param{i}" for i in range(1, 8))
@@ -211,7 +212,12 @@ class Wire:
     async def _send(self, name: str, fields: dict[str, Any]) -> None:
         message = MavlinkMessage(message_name=name, fields_json=json.dumps(fields))
         try:
-            await self._direct.send_message(message)
+            async with asyncio.timeout(_SEND_LIMIT_S):
+                await self._direct.send_message(message)
+        except TimeoutError as exc:
+            raise LinkLost(
+                f"nothing can be sent to {self._url}: it takes longer than {_SEND_LIMIT_S:g} s"
+            ) from exc
         except MavsdkError as exc:
             raise LinkLost(f"nothing can be sent to {self._url}: {exc}") from exc
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 
 import pytest
 from air import Air
+from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import LinkLost, LinkTimeout, VehicleError, WrongVehicle
@@ -94,5 +96,21 @@ def test_a_heartbeat_that_stays_away_is_asked_for():
         del air.speakers[1, 1, "beat"]
         air.on_command = send_once
         await link.wait_until(lambda: link.state.mode is Mode.OFFBOARD, "a heartbeat", 60.0)
+
+    air.run(story)
+
+
+def test_what_cannot_be_sent_is_given_up(monkeypatch):
+    air = Air()
+    air.beats((1, 1))
+    air.flies((1, 1))
+
+    async def story(link):
+        await link.next_pose()
+        monkeypatch.setattr(MavlinkDirectAsync, "send_message", lambda *_: asyncio.sleep(60.0))
+        with pytest.raises(LinkLost, match=r"nothing can be sent to udpin.* than 2 s"):
+            await link.arm()
+        monkeypatch.undo()
+        await link.next_heartbeat()
 
     air.run(story)
