@@ -37,6 +37,13 @@ class Mode(StrEnum):
     OTHER = "other"
 
 
+BY_STICKS = (
+    *(Mode.MANUAL, Mode.ALTITUDE, Mode.ALTITUDE_CRUISE, Mode.POSITION, Mode.POSITION_SLOW),
+    *(Mode.ACRO, Mode.STABILIZED, Mode.RATTITUDE),
+)
+"""Modes in which a pilot flies."""
+
+
 class Landed(StrEnum):
     """What the autopilot's landing detector says."""
 

@@ -19,7 +19,7 @@ from dronemon.errors import (
 )
 from dronemon.types import Pose
 from dronemon.vehicle.hearing import Hearing
-from dronemon.vehicle.link import Landed, Mode, Setpoint, StatusText, VehicleState
+from dronemon.vehicle.link import BY_STICKS, Landed, Mode, Setpoint, StatusText, VehicleState
 from dronemon.vehicle.px4 import RUN_CHECKS, Command
 from dronemon.vehicle.readiness import problems
 from dronemon.vehicle.wire import Wire
@@ -192,8 +192,22 @@ class MavsdkLink:
                     self._attempt_timeout_s,
                 )
             except CommandUnconfirmed:
-                continue
+                self._check_sticks(what, command, num_heartbeats)
         raise self._failure(what, command, num_texts)
+
+    def _check_sticks(self, what: str, command: Command, num_heartbeats: int) -> None:
+        """Raise ControlTaken where a pilot's sticks have ended at once what was accepted.
+
+        Between two heartbeats, so that the mode that we asked for was never seen.
+        """
+        is_fresh = self._telemetry.num_heartbeats > num_heartbeats + 1
+        is_flown = self.state.is_armed and self.state.mode in BY_STICKS
+        if is_fresh and is_flown and self._wire.answer(command) == "accepted":
+            raise ControlTaken(
+                f"{what} was accepted, and the mode is '{self.state.mode}': the pilot flies by "
+                "sticks",
+                by_failsafe=False,
+            )
 
     def _failure(self, what: str, command: Command, num_texts: int) -> VehicleError:
         """The error of a command without effect, with what the autopilot said since."""

@@ -12,6 +12,7 @@ from dronemon.vehicle import Mode, Setpoint, mavsdk_link
 HERE = Setpoint(position_ned_m=(0.0, 0.0, 0.0), velocity_ned_m_s=(0.0, 0.0, 0.0), yaw_rad=0.0)
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 TAKE_OFF = mavlink.MAV_CMD_NAV_TAKEOFF
+LAND = mavlink.MAV_CMD_NAV_LAND
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 VEHICLE = (1, 1)
 
@@ -65,6 +66,27 @@ def test_a_command_that_is_not_answered_is_sent_again():
         assert link.state.mode is Mode.RETURN
 
     air.run(story)
+
+
+@pytest.mark.parametrize(
+    ("result", "error"),
+    [
+        (mavlink.MAV_RESULT_ACCEPTED, ControlTaken),
+        (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, CommandRejected),
+    ],
+)
+def test_a_landing_that_a_pilots_sticks_ended_between_two_heartbeats_is_not_repeated(result, error):
+    air = flying(Mode.ALTITUDE, status=mavlink.MAV_STATE_CRITICAL)
+    air.results[LAND] = result
+
+    async def story(link):
+        await link.next_pose()
+        await link.next_heartbeat()
+        with pytest.raises(error):
+            await link.land()
+        assert air.commands().count(LAND) == (1 if error is ControlTaken else 3)
+
+    air.run(story, command_timeout_s=3.0)
 
 
 def test_after_a_pause_no_setpoint_is_sent_before_the_mode_is_known(monkeypatch):
