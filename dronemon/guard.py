@@ -74,6 +74,10 @@ class Reason(StrEnum):
     INTERRUPTED = "a person asked for the return"
     BATTERY_LOW = "the battery is at its limit"
     TIME_UP = "it has been in the air for as long as its battery is said to last until the return"
+    ESTIMATE_SILENT = (
+        "nothing was heard of the estimator for long, though other signs of a good position are "
+        "there; it returns while they are"
+    )
     OFF_PATH = "the drone left its path or its height by more than wind explains; it returns"
     STUCK = "the drone makes no way, as against too strong a wind; it returns"
     BLIND = "no picture could be taken and read for too long; the drone returns"
@@ -130,6 +134,7 @@ class Situation:
     is_position_good: bool = True
     is_battery_low: bool = False
     is_time_up: bool = False
+    is_estimate_silent: bool = False
     is_off_path: bool = False
     is_stuck: bool = False
     is_blind: bool = False
@@ -152,6 +157,7 @@ class PatrolFacts(TypedDict, total=False):
 
     is_horizon_flown: bool
     is_planner_late: bool
+    is_estimate_silent: bool
     is_off_path: bool
     is_stuck: bool
     is_blind: bool
@@ -232,6 +238,8 @@ TABLE = (
     Row(_PATROLLING, lambda s: s.is_battery_low, State.RETURNING, Action.LEAVE, Reason.BATTERY_LOW),
     Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
     Row(_PATROLLING, lambda s: s.is_time_up, State.RETURNING, Action.LEAVE, Reason.TIME_UP),
+    Row(_PATROLLING, lambda s: s.is_estimate_silent,
+        State.RETURNING, Action.LEAVE, Reason.ESTIMATE_SILENT),
     Row(_PATROLLING, lambda s: s.is_off_path, State.RETURNING, Action.LEAVE, Reason.OFF_PATH),
     Row(_PATROLLING, lambda s: s.is_stuck, State.RETURNING, Action.LEAVE, Reason.STUCK),
     Row(_PATROLLING, lambda s: s.is_blind, State.RETURNING, Action.LEAVE, Reason.BLIND),

@@ -49,7 +49,7 @@ class FakeVehicle:
         self.intent = Mode.HOLD
         self.is_armed = False
         self.has_gps = True
-        self.is_position_good = True
+        self.is_position_good = self.is_estimate_heard = True
         self.battery: float | None = 0.9
         self.is_deaf = False
         self.refused: set[str] = set()
@@ -237,6 +237,7 @@ class FakeLink:
             self._state,
             is_armable=True,
             is_position_good=vehicle.is_position_good,
+            is_estimate_heard=vehicle.is_estimate_heard,
             num_resets=self.num_resets,
             landed=Landed.ON_GROUND if vehicle.is_on_ground else Landed.IN_AIR,
             battery=vehicle.battery,

@@ -38,7 +38,14 @@ LEFT_ARMED = {Reason.LOST_FOR_GOOD, Reason.LEFT, Reason.PILOT_KEEPS}
 COMMANDS = {Action.RETURN, Action.LAND, Action.DISARM}
 MISSION_FACTS = (
     *("is_sure", "is_on_ground", "is_position_good", "is_battery_low", "is_time_up"),
-    *("is_off_path", "is_stuck", "is_blind", "is_horizon_flown", "is_planner_late"),
+    *(
+        "is_estimate_silent",
+        "is_off_path",
+        "is_stuck",
+        "is_blind",
+        "is_horizon_flown",
+        "is_planner_late",
+    ),
 )
 MODES = (
     {},
@@ -153,6 +160,7 @@ def test_the_patrol_goes_on_only_while_nothing_is_against_it():
             assert situation.is_position_good
             assert not situation.is_battery_low
             assert not situation.is_time_up
+            assert not situation.is_estimate_silent
             assert not situation.is_off_path
             assert not situation.is_stuck
             assert not situation.is_blind

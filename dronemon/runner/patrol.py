@@ -160,6 +160,7 @@ class Patrol:
             advice = self._supervisor.ask(
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
+                is_estimate_silent=not self._link.state.is_estimate_heard,
                 is_off_path=self._is_off_path(pose),
                 is_stuck=self._is_stuck(pose),
                 is_blind=self._observer.is_blind(pose.time_s),

@@ -71,6 +71,9 @@ class VehicleState:
     landed: Landed = Landed.UNKNOWN
     battery: float | None = None
     """Charge left, 0 to 1; None where the vehicle does not know."""
+    is_estimate_heard: bool = False
+    """Whether the estimator says how it is. Where it has fallen silent, a position that was good
+    counts as good as long as GPS has a fix and the place is told."""
     estimate_doubts: tuple[str, ...] = ("no word of it",)
     """What is against the estimate, in words."""
     gps: GpsFix | None = None

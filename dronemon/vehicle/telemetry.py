@@ -32,7 +32,7 @@ _LANDED = {
 _UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message stays away
     "EXTENDED_SYS_STATE": {"landed": Landed.UNKNOWN},
     "SYS_STATUS": {"battery": None, "is_armable": False, "has_sticks": False},
-    "ESTIMATOR_STATUS": {"is_position_good": False, "estimate_doubts": ("no word of it",)},
+    "ESTIMATOR_STATUS": {"is_estimate_heard": False, "estimate_doubts": ("no word of it",)},
     "GPS_RAW_INT": {"gps": None},
     REMOTE_ID_STATUS: {"remote_id": None},
 }
@@ -131,7 +131,11 @@ class Telemetry:
         oldest_s = self.time_s - _TRUSTED_S
         stale = [name for name in _UNKNOWN if self._heard_s.get(name, math.inf) < oldest_s]
         changes = {key: value for name in stale for key, value in _UNKNOWN[name].items()}
-        return replace(self._state, **changes) if changes else self._state
+        state = replace(self._state, **changes) if changes else self._state
+        if state.is_estimate_heard or not state.is_position_good:
+            return state
+        is_placed = self._heard_s.get("GLOBAL_POSITION_INT", -math.inf) >= oldest_s
+        return replace(state, is_position_good=is_placed and bool(state.gps and state.gps.is_3d))
 
     @property
     def pose(self) -> Pose | None:
@@ -249,6 +253,7 @@ class Telemetry:
     def _on_estimator_status(self, fields: dict[str, Any]) -> None:
         flags = _whole(fields["flags"], 0, 2**16 - 1)
         self._update(
+            is_estimate_heard=True,
             is_position_good=bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
             estimate_doubts=(
                 *(f"no {what}" for what, flag in _ESTIMATED.items() if not flags & flag),

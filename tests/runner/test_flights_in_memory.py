@@ -864,6 +864,14 @@ def test_a_drone_that_leaves_its_height_returns(flight):
     _comes_home(flight, result)
 
 
+def test_an_estimator_that_falls_silent_brings_it_home(flight):
+    flight.when("patrol", lambda: setattr(flight.link.vehicle, "is_estimate_heard", False))
+    result = flight.fly()
+    assert Reason.ESTIMATE_SILENT in flight.reasons
+    assert flight.commands[-1] == "return"
+    _comes_home(flight, result)
+
+
 def test_a_drone_that_makes_no_way_returns(flight):
     flight.when("patrol", lambda: setattr(flight.link.vehicle, "speed_m_s", 0.0))
     result = flight.fly()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from messages import HEARTBEAT, HOME, READY, attitude, pose, posed, position
+from messages import HEARTBEAT, HOME, PLACE, READY, attitude, pose, posed, position
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import CameraError
@@ -172,6 +172,32 @@ def test_what_is_not_heard_for_ten_seconds_is_not_trusted():
     assert not state.is_armable
     assert not state.is_position_good
     assert state.home is not None
+
+
+@pytest.mark.parametrize(
+    ("gps", "place_s", "was_good", "is_good"),
+    [
+        (GPS, 109.0, True, True),
+        (GPS | {"fix_type": 1}, 109.0, True, False),
+        (GPS, 100.0, True, False),
+        (GPS, 109.0, False, False),
+    ],
+)
+def test_where_the_estimator_is_silent_other_signs_say_whether_the_position_is_good(
+    gps, place_s, was_good, is_good
+):
+    telemetry = posed(100.0)
+    flags = mavlink.ESTIMATOR_POS_HORIZ_ABS if was_good else mavlink.ESTIMATOR_CONST_POS_MODE
+    telemetry.take("ESTIMATOR_STATUS", {"flags": flags})
+    pose(telemetry, place_s)
+    telemetry.take("GLOBAL_POSITION_INT", PLACE)
+    pose(telemetry, 109.0)
+    telemetry.take("GPS_RAW_INT", gps)
+    assert telemetry.state.is_position_good == was_good
+    assert telemetry.state.is_estimate_heard
+    pose(telemetry, 110.5)
+    assert telemetry.state.is_position_good == is_good
+    assert not telemetry.state.is_estimate_heard
 
 
 @pytest.mark.parametrize(
