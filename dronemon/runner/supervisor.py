@@ -19,7 +19,7 @@ from dronemon.errors import (
     PlannerError,
     VehicleError,
 )
-from dronemon.events import EventStream, Level
+from dronemon.events import EventStream
 from dronemon.guard import (
     HOMEWARD,
     MISSION,
@@ -33,6 +33,7 @@ from dronemon.guard import (
     advise,
 )
 from dronemon.runner.interrupts import Interrupted, Interrupts
+from dronemon.runner.telling import Telling
 from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
 
 REPORT_INTERVAL_S = 1.0
@@ -50,8 +51,6 @@ FAILSAFE_HOLD_LIMIT_S = 8.0
 """Vehicle time of a failsafe's hold: PX4 acts after COM_FAIL_ACT_T, 5 s by default."""
 DISARM_LIMIT_S = 5.0
 """Vehicle time on the ground after which we disarm; PX4 does after COM_DISARM_LAND, 2 s."""
-_REPEAT_S = 5.0
-"""Wall time after which a problem that lasts is told again."""
 _RETRY_S = 0.5
 _OUTCOMES = {
     Reason.HORIZON: "completed",
@@ -61,11 +60,8 @@ _OUTCOMES = {
     Reason.PILOT_LANDED: "pilot",
     Reason.PILOT_KEEPS: "pilot",
 }
-_INTERRUPTS = {
-    State.PREPARING: "nothing has flown; the program ends",
-    State.PILOT: "the pilot flies on; a second Ctrl-C ends the program and leaves it to the pilot",
-    State.LANDING: "the drone is landing here already",
-}
+_UNASKED = {State.RETURNING: Action.RETURN, State.LANDING: Action.LAND, State.ENDED: Action.END}
+"""What is done where the guard cannot be asked; somebody else flies in the other states."""
 
 
 class Supervisor:
@@ -91,6 +87,7 @@ class Supervisor:
     ) -> None:
         self._link = link
         self._events = events
+        self._telling = Telling(events)
         self._interrupts = interrupts
         self._progress = progress
         self._report_due_s = -math.inf
@@ -110,10 +107,8 @@ class Supervisor:
         self._was_position_lost = self._has_land_worked = False
         self._sure_at = 0  # number of the heartbeat from which "disarmed" is believed
         self._offboard_since: int | None = None  # number of the heartbeat that showed it first
-        self._told: tuple[object, float] = (None, -math.inf)  # the problem told last, and when
         self._heard_at = math.inf
         self._is_silent = False  # the link was lost, and nothing was heard since
-        self._interrupts_told = 0
 
     # The mission's steps
 
@@ -129,10 +124,15 @@ class Supervisor:
         """Bring the drone home, whatever the mission was doing; nothing if the flight is over."""
         while self.state is not State.ENDED:
             if self.state in MISSION:
-                self._leave_mission("failed", None)
-                is_ours = self.state is not State.PREPARING
-                self.state = State.RETURNING if is_ours else State.ENDED
+                self._turn_back(None)
             await self._see_through()
+
+    def _turn_back(self, problem: DronemonError | None) -> None:
+        """End the mission where the guard does not; what was never ours is left alone."""
+        self._leave_mission("failed", problem)
+        if self.state is State.PREPARING:
+            self._end(Reason.FAILED)
+        self.state = State.ENDED if self.state is State.PREPARING else State.RETURNING
 
     def report(self, phase: str) -> None:
         """Tell a line of progress, if one is due."""
@@ -143,12 +143,27 @@ class Supervisor:
     async def _see_through(self) -> bool:
         """Do what the guard says until the mission may go on, or nothing is left to do."""
         while self.state is not State.ENDED:
-            advice = self.ask()
+            advice = await self._advice()
             if advice.action is Action.GO_ON:
                 return True
             if advice.action not in {Action.LEAVE, Action.END}:
                 await self._attempt(self._do(advice.action))
         return False
+
+    async def _advice(self) -> Advice:
+        """Ask the guard. Where that fails, by a fault of ours, it is home or down all the same."""
+        try:
+            return self.ask()
+        except Exception as exc:  # noqa: BLE001 - the drone flies
+            problem = _problem(exc)
+        if self.state in MISSION:
+            self._turn_back(problem)
+        elif self._interrupts.count >= 3:
+            self._end(Reason.LEFT)
+            self.state = State.ENDED
+        self._meet(problem)
+        await asyncio.sleep(_RETRY_S)
+        return Advice(self.state, _UNASKED.get(self.state, Action.WAIT), Reason.FAILED)
 
     async def _attempt(self, step: Awaitable[object]) -> None:
         """Take one step; what goes wrong, be it our own fault, is the next situation's setback."""
@@ -157,19 +172,15 @@ class Supervisor:
             await step
         except Interrupted:
             return  # the guard sees that a person asked
-        except (Exception, asyncio.CancelledError) as exc:
-            if isinstance(exc, DronemonError):
-                problem = exc
-            else:
-                logging.getLogger(__name__).exception("in a flight")
-                problem = DronemonError(f"a fault of this program: {exc!r}")
+        except (Exception, asyncio.CancelledError) as exc:  # noqa: BLE001 - the same
+            problem = _problem(exc)
             if before in MISSION and self.state not in MISSION:
                 self._leave_mission("failed", problem)  # the guard had ended it already
             else:
                 self._meet(problem)
         else:
-            self._heard_at, self._told = asyncio.get_running_loop().time(), (None, -math.inf)
-            self._is_silent = False
+            self._heard_at, self._is_silent = asyncio.get_running_loop().time(), False
+            self._telling.is_over()
         if self._setback is Setback.FAILED and self.state not in MISSION:
             await asyncio.sleep(_RETRY_S)
 
@@ -190,13 +201,13 @@ class Supervisor:
             case _:
                 self._setback = Setback.FAILED
         if self.state not in MISSION:
-            self._tell(kind, problem)
+            self._telling.problem(kind, problem)
 
     # Asking
 
     def ask(self, **patrol: Unpack[PatrolFacts]) -> Advice:
         """Ask the guard, tell what is new, and go over to the state that it gives."""
-        self._tell_interrupts()
+        self._telling.interrupts(self._interrupts.count, self.state)
         situation = self._situation(patrol)
         advice = advise(situation)
         if advice.state is not self.state or situation.setback is Setback.FAILSAFE:
@@ -288,7 +299,7 @@ class Supervisor:
             self._problem = ControlTaken(
                 f"mode '{self._link.state.mode}' is none that we asked for"
             )
-        self._tell(kind, self._problem, "WARN")
+        self._telling.problem(kind, self._problem, "WARN")
         self._link.release()
         is_unasked = self.state is State.LANDING and not self._has_land_worked
         self._before = State.RETURNING if is_unasked else self.state
@@ -300,26 +311,7 @@ class Supervisor:
         self._heard_at = asyncio.get_running_loop().time()
         if error is not None:
             self.error = error
-            self._tell("failure", error)
-
-    def _tell(self, kind: str, problem: DronemonError | None, level: Level = "ERROR") -> None:
-        """Tell a problem, and again every few seconds while it lasts."""
-        now = asyncio.get_running_loop().time()
-        is_same = LinkLost if isinstance(problem, LinkLost) else str(problem)
-        told, told_at = self._told
-        if is_same != told or now >= told_at + _REPEAT_S:
-            self._told = is_same, now
-            self._events.note(kind, str(problem), level=level)
-
-    def _tell_interrupts(self) -> None:
-        count = self._interrupts.count
-        if count == self._interrupts_told:
-            return
-        self._interrupts_told, self._events.must_go_on = count, True
-        what = "the drone comes home; Ctrl-C again lands it where it is"
-        if count > 1:
-            what = "the drone lands where it is; a third ends the program if it obeys nothing"
-        self._events.note("interrupt", _INTERRUPTS.get(self.state, what))
+            self._telling.problem("failure", error)
 
     def _error(self, reason: Reason) -> DronemonError | None:
         """The error that ends a mission for this reason; None if it is none."""
@@ -398,3 +390,11 @@ class Supervisor:
             )
         )
         await self._link.next_pose()
+
+
+def _problem(exc: BaseException) -> DronemonError:
+    """What a person is told of it; what is no error of a vehicle is a fault of ours."""
+    if isinstance(exc, DronemonError):
+        return exc
+    logging.getLogger(__name__).error("in a flight", exc_info=exc)
+    return DronemonError(f"a fault of this program: {exc!r}")

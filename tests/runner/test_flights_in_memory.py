@@ -724,6 +724,38 @@ def test_a_fault_of_our_own_ends_nothing_either(flight, monkeypatch):
     _comes_home(flight, result)
 
 
+@pytest.mark.parametrize("kind", ["ready", "airborne", "patrol", "homecoming"])
+def test_a_guard_that_cannot_be_asked_once_ends_nothing(flight, monkeypatch, kind):
+    def fail(situation: Situation) -> Advice:
+        monkeypatch.setattr(supervisor, "advise", guard.advise)
+        raise TypeError("no situation")
+
+    flight.when(kind, lambda: monkeypatch.setattr(supervisor, "advise", fail))
+    result = flight.fly()
+    if kind == "ready":
+        assert (result.last_word, flight.commands) == (NOT_STARTED, [])
+        return
+    assert flight.record.texts("a fault of this program: TypeError") == 1
+    assert result.outcome == ("completed" if kind == "homecoming" else "failed")
+    _comes_home(flight, result)
+
+
+def test_without_a_guard_it_comes_home_until_a_person_ends_the_program(flight, monkeypatch):
+    def fail(situation: Situation) -> Advice:
+        raise TypeError("no situation")
+
+    def begin() -> None:
+        monkeypatch.setattr(supervisor, "advise", fail)
+        flight.later(60.0, lambda: flight.ask(times=3))
+
+    flight.when("patrol", begin)
+    result = flight.fly()
+    assert flight.link.vehicle.is_on_ground
+    assert set(flight.commands[flight.commands.index("return") :]) == {"return"}
+    assert flight.record.texts("a fault of this program: TypeError") > 5
+    assert "the motors may be running" in result.last_word
+
+
 @pytest.mark.parametrize("kind", ["ready", "airborne", "patrol", "homecoming", "outcome"])
 def test_a_flight_that_is_cancelled_is_seen_through(flight, kind):
     """It is a person's interrupt: the drone comes home, and how it ended is known."""
