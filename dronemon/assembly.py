@@ -87,11 +87,16 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
             summary = sum_up(result, truth=truth)
             recorder.finish(result.outcome, summary.as_json())
         except Exception as exc:  # noqa: BLE001 - the last word on the drone comes first
-            error = exc if isinstance(exc, DronemonError) else DronemonError(repr(exc))
-            print_error(f"after the flight: {error}")
-            result = replace(result, error=result.error or error)
+            result = _failed_after(result, exc)
             summary = sum_up(replace(result, tally=None), truth={})
     return result, summary
+
+
+def _failed_after(result: FlightResult, exc: Exception) -> FlightResult:
+    """The result of a flight after which something failed: how it ended stays true."""
+    error = exc if isinstance(exc, DronemonError) else DronemonError(repr(exc))
+    print_error(f"after the flight: {error}")
+    return replace(result, error=result.error or error)
 
 
 def _make_threads() -> None:
@@ -115,37 +120,55 @@ async def _with_everything(
     request: Request,
     recorder: RunRecorder,
 ) -> tuple[FlightResult, dict[float, FloatArray]]:
-    """Open simulator, view, link and camera, fly, and close them. -> result, truth, priors."""
+    """Open simulator, view, link and camera, fly, and close them. -> result, truth"""
+    result, truth = None, dict[float, FloatArray]()
+    try:
+        async with contextlib.AsyncExitStack() as stack:
+            setup, sim = await _open(file, planner, request, recorder, stack)
+            result = await _fly(setup, sim)
+            truth = read_truth(recorder.folder.path)
+            for time_s, targets_au in truth.items():
+                for watcher in setup.watchers:
+                    watcher.take(TruthTold(time_s=time_s, targets_au=targets_au))
+    except Exception as exc:
+        if result is None:
+            raise
+        result = _failed_after(result, exc)
+    assert result is not None  # or it was raised
+    return result, truth
+
+
+async def _open(
+    file: MissionFile,
+    planner: Planner,
+    request: Request,
+    recorder: RunRecorder,
+    stack: contextlib.AsyncExitStack,
+) -> tuple[FlightSetup, Simulator | None]:
+    """Open simulator, view and link, and rehearse meanwhile."""
     folder, mission = recorder.folder, file.mission
     detector, interrupts = make_detector(mission), _interrupts()
     _make_threads()
-    async with contextlib.AsyncExitStack() as stack:
-        rehearsal = rehearse(mission, detector, planner, interrupts)
-        sim = await _start(mission, folder, stack, request.follow, rehearsal)
-        view = stack.enter_context(FlightView(folder.rrd_path, mission))
-        if view.url:
-            console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
-        display = stack.enter_context(FlightDisplay(console))
-        link = await stack.enter_async_context(_link(mission, sim))
-        result = await _fly(
-            _equip(
-                file,
-                sim,
-                link,
-                detector=detector,
-                planner=planner,
-                record=recorder,
-                watchers=(view, display),
-                interrupts=interrupts,
-                settings=request.settings,
-                folder=folder.path,
-            ),
-            sim,
-        )
-        truth = read_truth(folder.path)
-        for time_s, targets_au in truth.items():
-            view.take(TruthTold(time_s=time_s, targets_au=targets_au))
-    return result, truth
+    rehearsal = rehearse(mission, detector, planner, interrupts)
+    sim = await _start(mission, folder, stack, request.follow, rehearsal)
+    view = stack.enter_context(FlightView(folder.rrd_path, mission))
+    if view.url:
+        console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
+    display = stack.enter_context(FlightDisplay(console))
+    link = await stack.enter_async_context(_link(mission, sim))
+    setup = _equip(
+        file,
+        sim,
+        link,
+        detector=detector,
+        planner=planner,
+        record=recorder,
+        watchers=(view, display),
+        interrupts=interrupts,
+        settings=request.settings,
+        folder=folder.path,
+    )
+    return setup, sim
 
 
 async def assemble_and_inspect(file: MissionFile, request: Request) -> tuple[Finding, ...]:

@@ -95,7 +95,9 @@ async def _ready_line(process: asyncio.subprocess.Process, log: Path) -> dict[st
 
 
 def _last_words(log: Path) -> str:
-    lines = log.read_text(errors="replace").strip().splitlines()
+    lines: list[str] = []
+    with contextlib.suppress(OSError):
+        lines = log.read_text(errors="replace").strip().splitlines()
     return lines[-1] if lines else "it said nothing"
 
 

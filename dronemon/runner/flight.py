@@ -107,6 +107,22 @@ class _Flight:
 
     async def run(self) -> FlightResult:
         supervisor = self._supervisor
+        try:
+            await self._see_through()
+        except Exception as exc:  # noqa: BLE001 - the drone has come home: its story is known
+            supervisor.error = supervisor.error or DronemonError(f"after the flight: {exc!r}")
+        return FlightResult(
+            outcome=supervisor.outcome,
+            has_flown=supervisor.was_armed,
+            is_landed=supervisor.is_down,
+            last_seen=None if supervisor.is_down else last_seen(self._link),
+            landing_error_m=self._distance_from_home_m() if supervisor.is_down else None,
+            tally=self._patrol.tally if self._patrol else None,
+            error=supervisor.error,
+        )
+
+    async def _see_through(self) -> None:
+        supervisor = self._supervisor
         async with contextlib.AsyncExitStack() as self._exit:  # closes the camera
             async with asyncio.TaskGroup() as self._meanwhile:
                 listening = self._beside(self._tell_texts, "texts")
@@ -124,15 +140,6 @@ class _Flight:
                     listening.cancel()
             self._tell_losses()
             self._events.note("outcome", supervisor.outcome)
-        return FlightResult(
-            outcome=supervisor.outcome,
-            has_flown=supervisor.was_armed,
-            is_landed=supervisor.is_down,
-            last_seen=None if supervisor.is_down else last_seen(self._link),
-            landing_error_m=self._distance_from_home_m() if supervisor.is_down else None,
-            tally=self._patrol.tally if self._patrol else None,
-            error=supervisor.error,
-        )
 
     # On the ground
 

@@ -767,6 +767,16 @@ def test_a_flight_that_is_cancelled_is_seen_through(flight, kind):
     assert flight.record.kinds[-1] == "outcome"
 
 
+def test_a_camera_that_cannot_be_closed_loses_no_result(flight, monkeypatch):
+    def fail(*_: object) -> None:
+        raise OSError("unplugged")
+
+    monkeypatch.setattr(FakeCamera, "__aexit__", fail)
+    result = flight.fly()
+    assert (result.outcome, result.last_word) == ("completed", DOWN)
+    assert str(result.error) == "after the flight: OSError('unplugged')"
+
+
 def test_what_goes_on_beside_a_flight_ends_nothing(flight, monkeypatch):
     async def fail(self: FakeLink) -> None:
         await self.wait_until(lambda: self.state.mode is Mode.OFFBOARD, "patrol", 100.0)

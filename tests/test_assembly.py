@@ -1,0 +1,70 @@
+"""A whole flight's parts: what fails once it is over takes nothing of what is known."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dronemon import assembly
+from dronemon.assembly import Request, assemble_and_fly
+from dronemon.mission import load_mission
+from dronemon.runner import FlightResult
+from dronemon.runner.flight import DOWN
+
+RESULT = FlightResult(
+    outcome="completed",
+    has_flown=True,
+    is_landed=True,
+    last_seen=None,
+    landing_error_m=0.1,
+    tally=None,
+    error=None,
+)
+MISSION = """
+name: small
+area: {side_m: 100}
+flight: {altitude_m: 22, cruise_speed_m_s: 5, horizon_au: 0.8}
+targets:
+  - {name: Bella, appearance: cow, prior_au: [0.4, 0.6]}
+planner: {kind: lawnmower}
+view: {live: false}
+"""
+
+
+@contextlib.contextmanager
+def fails_to_close(*_):
+    yield SimpleNamespace(url=None, take=lambda event: None)
+    raise OSError("it is gone")
+
+
+async def done(*_):
+    return RESULT
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("FlightView", fails_to_close),
+        ("FlightDisplay", fails_to_close),
+        ("read_truth", lambda path: np.zeros(3)[5]),
+    ],
+)
+def test_what_fails_after_a_flight_is_told_beside_its_result(tmp_path, monkeypatch, name, part):
+    path = tmp_path / "small.yaml"
+    path.write_text(MISSION)
+    nothing = contextlib.nullcontext()
+    monkeypatch.setattr(assembly, "_start", done)
+    monkeypatch.setattr(assembly, "rehearse", lambda *_: None)
+    monkeypatch.setattr(assembly, "_link", lambda *_: nothing)
+    monkeypatch.setattr(assembly, "_equip", lambda *_, **rest: SimpleNamespace(**rest))
+    monkeypatch.setattr(assembly, "_fly", done)
+    monkeypatch.setattr(assembly, name, part)
+    request = Request(out=tmp_path / "run")
+    result, summary = asyncio.run(assemble_and_fly(load_mission(path), request))
+    assert (result.outcome, result.last_word) == ("completed", DOWN)
+    assert "it is gone" in str(result.error) or "IndexError" in str(result.error)
+    assert summary.error == str(result.error)
