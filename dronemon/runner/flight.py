@@ -135,7 +135,8 @@ class _Flight:
                 finally:
                     await supervisor.come_home()
                     if not supervisor.is_down:
-                        self._events.note("last word", last_seen(self._link).words, level="ERROR")
+                        words = last_seen(self._link).words + self._changes.last_words()
+                        self._events.note("last word", words, level="ERROR")
                     await self._leave_as_found()
                     listening.cancel()
             self._tell_losses()

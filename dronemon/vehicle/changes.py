@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from dronemon.durable import replace_text, sync_folder
-from dronemon.errors import CommandRejected, RecordError
+from dronemon.errors import CommandRejected, RecordError, VehicleError
 from dronemon.vehicle.link import VehicleLink
 from dronemon.vehicle.parameters import as_float32
 
@@ -69,6 +69,21 @@ class Changes:
             elif present[name] != value["old"]:
                 self._tell(f"{name} is left as it is: somebody changed it since we did")
         _remove(self._path)
+
+    def last_words(self) -> str:
+        """What is left set on the vehicle, as the end of a sentence; nothing where nothing is."""
+        try:
+            kept = _load(self._path)
+        except VehicleError:  # nothing could be changed
+            return ""
+        except RecordError as exc:
+            return f"; {exc}"
+        if not kept:
+            return ""
+        left = [
+            f"{name}={v['new']:g} is still set, and was {v['old']:g}" for name, v in kept.items()
+        ]
+        return f"; {', '.join(left)}: the next flight or preflight of this vehicle puts it back"
 
     def _refuse_if_armed(self) -> None:
         if self._link.state.is_armed:

@@ -878,6 +878,7 @@ def test_a_parameter_stays_while_it_is_not_known_whether_the_motors_run(flight):
     flight.settings = {"COM_FAIL_ACT_T": 4.0}
     assert not flight.fly("silence@12").is_landed
     assert flight.link.vehicle.parameters["COM_FAIL_ACT_T"] == 4.0
+    assert "COM_FAIL_ACT_T=4 is still set, and was 5" in flight.record.text("last word")
     assert len(list(state_folder().iterdir())) == 1
 
 
