@@ -260,7 +260,7 @@ def _confirmed(texts: Iterable[str], is_unasked: bool) -> dict[str, float]:
 def _facts(m: Mission) -> dict[str, str]:
     """What would be flown, in words."""
     from dronemon.feasibility import px_per_m
-    from dronemon.mission.checks import outbound_min, usable_min
+    from dronemon.mission.checks import outbound_min, return_min, usable_min
     from dronemon.vision.detector import NEEDED_PX_PER_M
 
     # Mean distance to one of the k nearest of V random places.
@@ -278,9 +278,9 @@ def _facts(m: Mission) -> dict[str, str]:
         f"{MEASUREMENT_INTERVAL_AU * m.area.side_m:g} m",
         "roadmap": f"{m.roadmap.num_nodes} nodes; about "
         f"{m.horizon_au / leg_au:.0f} decisions of a planner that keeps to it",
-        "battery": f"{outbound_min(m):.1f} min until the return, of {usable_min(m):.1f} "
-        f"min usable ({m.flight.endurance_min:g} min, return at "
-        f"{m.flight.return_battery:.0%})",
+        "battery": f"{outbound_min(m):.1f} min until the return, {return_min(m):.1f} min home, of "
+        f"{usable_min(m):.1f} min usable ({m.flight.endurance_min:g} min, landing with "
+        f"{m.flight.reserve_battery:.0%})",
         "planner": m.planner.kind,
         "vehicle": m.vehicle.url,
     }

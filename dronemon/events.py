@@ -44,6 +44,7 @@ class Noted(Event):
 class Progressed(Event):
     """How far the flight is; about once a second of vehicle time.
 
+    battery_needed: the level that it takes to come home from here.
     since_seen_s: seconds since each target was seen, by name; None: never.
     """
 
@@ -53,6 +54,7 @@ class Progressed(Event):
     left_s: float = 0.0
     speed_m_s: float = 0.0
     battery: float | None = None
+    battery_needed: float = 0.0
     since_seen_s: Mapping[str, float | None]
 
 
@@ -96,7 +98,8 @@ class Measured(Event):
     time_s: float
     measurement: Measurement
     score: FloatArray
-    battery: float | None
+    battery: float | None = None
+    battery_needed: float = 0.0
     cross_track_m: float | None
 
 

@@ -72,7 +72,7 @@ class Reason(StrEnum):
         "cannot be trusted; it comes down"
     )
     INTERRUPTED = "a person asked for the return"
-    BATTERY_LOW = "the battery is at its limit"
+    BATTERY_LOW = "the battery brings it home, and no further"
     TIME_UP = "it has been in the air for as long as its battery is said to last until the return"
     ESTIMATE_SILENT = (
         "nothing was heard of the estimator for long, though other signs of a good position are "

@@ -40,6 +40,10 @@ _GRAVITY_M_S2 = 9.80665
 _DOUBT_M2_S2 = 40.0
 """Squares of velocity changes, summed, that it takes to half believe in a drag; at first, none."""
 _DRAG_MAX_PER_S = 1.0
+_MEMORY_S = 300.0
+"""After so long what was learned of drag and wind counts a third."""
+_DOUBT_POSES = 200
+"""Poses that it takes to half believe in a wind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +219,7 @@ class Drag:
 
     def __init__(self) -> None:
         self._last: Pose | None = None
-        self._num = 0
+        self._num = 0.0
         self._sums = np.zeros(6)  # velocity, deceleration (north, east), and their products
 
     def take(self, pose: Pose) -> None:
@@ -233,18 +237,27 @@ class Drag:
         )
         velocity = np.array(pose.velocity_ned_m_s[:2])
         lost = push - (velocity - last.velocity_ned_m_s[:2]) / duration_s
-        self._num += 1
+        keep = math.exp(-duration_s / _MEMORY_S)
+        self._num = keep * self._num + 1.0
+        self._sums *= keep
         self._sums += [*velocity, *lost, velocity @ velocity, velocity @ lost]
 
     @property
     def per_s(self) -> float:
-        """Slope of deceleration over velocity; what is left at rest is the wind's."""
+        """Slope of deceleration over velocity."""
         if not self._num:
             return 0.0
         mean_m_s, lost = self._sums[:2] / self._num, self._sums[2:4]
         spread = self._sums[4] - mean_m_s @ self._sums[:2]
         slope = (self._sums[5] - mean_m_s @ lost) / (spread + _DOUBT_M2_S2)
         return float(min(max(slope, 0.0), _DRAG_MAX_PER_S))
+
+    @property
+    def at_rest_m_s2(self) -> Point:
+        """Deceleration (north, east) that is left at rest: the wind's."""
+        lost = self._sums[2:4] - self.per_s * self._sums[:2]
+        north, east = lost / (self._num + _DOUBT_POSES)
+        return float(north), float(east)
 
 
 def _stretch(tangent: Point) -> float:

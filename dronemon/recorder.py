@@ -120,6 +120,8 @@ class RunRecorder:
             "time_s": event.time_s,
             "time_au": measurement.time_au,
             "agent_au": measurement.agent_au,
+            "battery": event.battery,
+            "battery_needed": event.battery_needed,
             "targets": {
                 name: {"seen": seen, "position_au": position if seen else None, "score": confidence}
                 for name, seen, position, confidence in zip(

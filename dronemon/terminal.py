@@ -153,7 +153,8 @@ class FlightDisplay:
             f"{status.flown_au:.1f}/{status.horizon_au:g} au",
             f"{_minutes(status.left_s)} left",
             f"{status.speed_m_s:.1f} m/s",
-            "battery ?" if status.battery is None else f"battery {status.battery:.0%}",
+            f"battery {'?' if status.battery is None else f'{status.battery:.0%}'}"
+            f" ({status.battery_needed:.0%} home)",
         ]
         seen = [
             f"{name} {'never' if ago_s is None else f'{ago_s:.0f} s ago'}"

@@ -64,6 +64,7 @@ class FakeVehicle:
         self.disarm_after_s = _DISARM_AFTER_S
         self.setpoint_limit_s = _SETPOINT_LIMIT_S
         self.height_error_m = 0.0
+        self.attitude_rad: Vector3 = (0.0, 0.0, 0.0)
         self.climb_m_s = self.speed_m_s = _SPEED_M_S
         self.drift_m_s = 0.0
         self.parameters = {p.name: float(p.default) for p in PARAMETERS}
@@ -256,7 +257,7 @@ class FakeLink:
                     [*vehicle.position[:2], vehicle.position[2] + vehicle.height_error_m]
                 ),
                 velocity_ned_m_s=_vector(vehicle.velocity),
-                attitude_rad=(0.0, 0.0, 0.0),
+                attitude_rad=vehicle.attitude_rad,
             )
         )
 

@@ -47,7 +47,7 @@ def mission(tmp_path: Path):
 def test_check_prints_what_would_be_flown(run):
     code, out, _ = run("check", "--mission", "animals")
     assert code == 0
-    for words in ("42.2 m", "7.1 pixels", "6000 m", "20.0 min", "22.5", "Bella (cow)", "300"):
+    for words in ("42.2 m", "7.1 pixels", "6000 m", "20.0 min", "25.5", "Bella (cow)", "300"):
         assert words in out
 
 

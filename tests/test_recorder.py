@@ -50,6 +50,7 @@ def record_all(run: RunRecorder) -> None:
             measurement=measurement(),
             score=np.array([0.9, np.nan]),
             battery=0.5,
+            battery_needed=0.1,
             cross_track_m=None,
         )
     )
@@ -78,6 +79,8 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
             "time_s": 4.0,
             "time_au": 0.1,
             "agent_au": [0.25, 0.5],
+            "battery": 0.5,
+            "battery_needed": 0.1,
             "targets": {
                 "Bella": {"seen": True, "position_au": [0.3, 0.55], "score": 0.9},
                 "Zuri": {"seen": False, "position_au": None, "score": None},

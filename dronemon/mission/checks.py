@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
+from dronemon.energy import effort_home_s
 from dronemon.mission.addresses import is_video_file
 from dronemon.mission.document import Problem
 from dronemon.mission.schema import Mission
 
-_CLIMB_M_S = 1.5  # cautious rates for the estimate of flight time
-_DESCENT_M_S = 0.7
+_CLIMB_M_S = 1.5  # cautious, for the estimate of flight time
+_AS_IT_COMES: Mapping[str, float] = MappingProxyType({})
 
 
 def mission_problems(mission: Mission) -> Iterator[Problem]:
@@ -48,48 +50,47 @@ def _twins(mission: Mission) -> Iterator[Problem]:
             first.setdefault(value, index)
 
 
+def _reach_m(mission: Mission, away_m: float) -> float:
+    """Distance of the farthest corner from home, whose distance from the centre is `away_m`."""
+    return away_m + mission.area.side_m * 0.71
+
+
 def outbound_min(mission: Mission, away_m: float = 0.0) -> float:
     """Time in the air until the return begins: climb, the longest way to the start, patrol.
 
     away_m: distance of the area's centre from home.
     """
     flight = mission.flight
-    approach_s = (away_m + mission.area.side_m * 0.71) / flight.cruise_speed_m_s
+    approach_s = _reach_m(mission, away_m) / flight.cruise_speed_m_s
     return (flight.altitude_m / _CLIMB_M_S + approach_s + mission.patrol_duration_s) / 60.0
 
 
-def return_min(mission: Mission, away_m: float = 0.0, height_m: float = 0.0) -> float:
+def return_min(
+    mission: Mission, away_m: float = 0.0, parameters: Mapping[str, float] = _AS_IT_COMES
+) -> float:
     """Time from the farthest corner to home and down to the ground.
 
-    height_m: above home, to which it climbs before it returns
+    parameters: the vehicle's energy.RETURN_PARAMETERS
     """
-    flight = mission.flight
-    way_s = (away_m + mission.area.side_m * 0.71) / flight.cruise_speed_m_s
-    highest_m = max(height_m, flight.altitude_m)
-    climb_s = (highest_m - flight.altitude_m) / _CLIMB_M_S
-    return (climb_s + way_s + highest_m / _DESCENT_M_S) / 60.0
+    way_m = _reach_m(mission, away_m), 0.0
+    return effort_home_s(way_m, mission.flight.altitude_m, parameters) / 60.0
 
 
-def battery_problem(mission: Mission, away_m: float = 0.0) -> str | None:
-    """Say why the battery does not allow the flight, if so."""
-    flight = mission.flight
-    minutes, limit = outbound_min(mission, away_m), usable_min(mission)
-    if minutes > limit:
-        return (
-            f"take-off, the way to the start and the patrol take {minutes:.1f} min, but the "
-            f"battery allows {limit:.1f} min ({flight.endurance_min:g} min endurance less "
-            f"{flight.return_battery:.0%} to return); shorten the horizon, the side or the way"
-        )
-    minutes, limit = return_min(mission, away_m), flight.endurance_min * flight.return_battery
-    if minutes > limit:
-        return (
-            f"the way back from the farthest corner takes {minutes:.1f} min, but at "
-            f"{flight.return_battery:.0%} the battery has {limit:.1f} min left; raise "
-            "return_battery, or bring home and area nearer to each other"
-        )
-    return None
+def battery_problem(
+    mission: Mission, away_m: float = 0.0, parameters: Mapping[str, float] = _AS_IT_COMES
+) -> str | None:
+    """Say why the battery does not allow the flight, if so. See return_min."""
+    flight, limit = mission.flight, usable_min(mission)
+    minutes = outbound_min(mission, away_m) + return_min(mission, away_m, parameters)
+    if minutes <= limit:
+        return None
+    return (
+        f"take-off, the way to the start, the patrol and the way home take {minutes:.1f} min, but "
+        f"the battery allows {limit:.1f} min ({flight.endurance_min:g} min endurance less "
+        f"{flight.reserve_battery:.0%} to land with); shorten the horizon, the side or the way"
+    )
 
 
 def usable_min(mission: Mission) -> float:
-    """Flight time until the battery reaches the level at which the drone returns."""
-    return mission.flight.endurance_min * (1.0 - mission.flight.return_battery)
+    """Flight time until the battery reaches the level to land with."""
+    return mission.flight.endurance_min * (1.0 - mission.flight.reserve_battery)

@@ -71,8 +71,8 @@ class Flight(Section):
     """Patrol length in sides of the area; 30 if horizon_min is absent too."""
     horizon_min: float | None = Field(None, gt=0.0, le=600.0)
     """Patrol length in minutes of cruise, instead of horizon_au."""
-    return_battery: Fraction = 0.25
-    """Battery level (0 to 1) at which the drone returns."""
+    reserve_battery: Fraction = 0.15
+    """Battery level (0 to 1) to land with; the drone returns in time for that."""
     endurance_min: float = Field(30.0, gt=0.0, le=600.0)
     """Flight time of a full battery; the check before take-off uses it."""
     start_au: Place | None = None

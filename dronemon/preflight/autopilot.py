@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from enum import Enum
 
 from dronemon.mission import Mission
-from dronemon.mission.checks import outbound_min, return_min, usable_min
+from dronemon.mission.checks import battery_problem, outbound_min, return_min, usable_min
 from dronemon.preflight.findings import Facts, Judgement, go, no, warn
 
 
@@ -145,14 +145,8 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
     height_m = max(p["RTL_RETURN_ALT"], flight.altitude_m)
     what = f"the autopilot returns at {height_m:g} m above home"
     mends = {"RTL_RETURN_ALT": math.ceil(min(flight.altitude_m, height_m))}
-    needed_min = return_min(mission, facts.away_m, height_m)
-    left_min = flight.endurance_min * flight.return_battery
-    if not math.isfinite(height_m) or needed_min > left_min:
-        return no(
-            f"{what}: from the farthest corner that takes {needed_min:.1f} min, and at "
-            f"flight.return_battery {left_min:.1f} min are left",
-            **mends,
-        )
+    if problem := battery_problem(mission, facts.away_m, p):
+        return no(f"{what}: {problem}", **mends)
     if 0.0 < p.get("GF_MAX_VER_DIST", 0.0) <= height_m:
         return no(f"{what}, which is above GF_MAX_VER_DIST", **mends, GF_MAX_VER_DIST=0.0)
     if height_m > max(_HIGH_M, flight.altitude_m):
@@ -200,7 +194,7 @@ def on_fence_size(facts: Facts, mission: Mission) -> Judgement:
 
 def on_battery_levels(facts: Facts, mission: Mission) -> Judgement:
     """Who acts first when the battery is low."""
-    p, ours = facts.parameters, mission.flight.return_battery
+    p, ours = facts.parameters, mission.flight.reserve_battery
     action = p["COM_LOW_BAT_ACT"]
     if action not in _ENDS_A_HOLD:
         return warn(
@@ -211,8 +205,8 @@ def on_battery_levels(facts: Facts, mission: Mission) -> Judgement:
     level = max(p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
     if not level < ours:
         return no(
-            f"the autopilot acts at {level:.0%}, before this program returns at "
-            f"flight.return_battery, {ours:.0%}",
+            f"the autopilot acts at {level:.0%}, before this program has landed, with "
+            f"flight.reserve_battery, {ours:.0%}",
             BAT_CRIT_THR=0.07,
             BAT_EMERGEN_THR=0.05,
         )
@@ -222,7 +216,7 @@ def on_battery_levels(facts: Facts, mission: Mission) -> Judgement:
     if not p["BAT_LOW_THR"] >= level:
         what = f"the autopilot acts at {level:.0%} without a warning at a higher level"
         return warn(what, BAT_LOW_THR=max(level, 0.15))
-    return go(f"this program returns at {ours:.0%}, the autopilot at {level:.0%}")
+    return go(f"this program lands with {ours:.0%}, the autopilot acts at {level:.0%}")
 
 
 def on_battery(facts: Facts, mission: Mission) -> Judgement:
@@ -230,14 +224,16 @@ def on_battery(facts: Facts, mission: Mission) -> Judgement:
     flight = mission.flight
     if facts.battery is None:
         return warn(
-            "the vehicle does not tell its level: the drone returns after "
+            "the vehicle does not tell its level: the drone is back after "
             f"{usable_min(mission):.1f} min in the air instead"
         )
-    left_min = (facts.battery - flight.return_battery) * flight.endurance_min
-    if left_min <= 0.0:
-        return no(f"it is at flight.return_battery, {flight.return_battery:.0%}; charge it")
-    needed_min = outbound_min(mission, facts.away_m)
-    what = f"{left_min:.1f} min until the return, the patrol ends after {needed_min:.1f} min"
+    left_min = (facts.battery - flight.reserve_battery) * flight.endurance_min
+    home_min = return_min(mission, facts.away_m, facts.parameters)
+    needed_min = outbound_min(mission, facts.away_m) + home_min
+    what = f"it lasts {max(left_min, 0.0):.1f} min down to {flight.reserve_battery:.0%}"
+    if left_min < needed_min - mission.patrol_duration_s / 60.0:
+        return no(f"{what}, no longer than the ways to the area and home; charge it")
+    what = f"{what}, the flight {needed_min:.1f} min"
     return go(what) if left_min >= needed_min else warn(f"{what}: it returns before that")
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from dronemon.energy import RETURN_PARAMETERS
 from dronemon.errors import CameraError
 from dronemon.mission import Mission
 from dronemon.preflight import autopilot, equipment
@@ -40,7 +41,8 @@ TABLE = (
     Row("remote control lost", ("NAV_RCL_ACT", "COM_RCL_EXCEPT"), autopilot.on_sticks_lost),
     Row("pilot takes over", ("COM_RC_OVERRIDE",), autopilot.on_override),
     Row("ground station lost", ("NAV_DLL_ACT",), autopilot.on_link_lost),
-    Row("height of the return", ("RTL_RETURN_ALT",), autopilot.on_return_height),
+    Row("height of the return", tuple(RETURN_PARAMETERS), autopilot.on_return_height,
+        lambda f: f"RTL_RETURN_ALT={f.parameters['RTL_RETURN_ALT']:g}"),
     Row("landing after it", ("RTL_LAND_DELAY",), autopilot.on_return_hover),
     Row("fence crossed", ("GF_ACTION",), autopilot.on_fence),
     Row("fence around home", ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION"),

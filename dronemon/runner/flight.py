@@ -11,12 +11,14 @@ from functools import partial
 
 import numpy as np
 
+from dronemon.energy import RETURN_PARAMETERS
 from dronemon.errors import DronemonError, PlannerError, RecordError, VehicleError
 from dronemon.events import AreaLaid, EventStream, Progressed
 from dronemon.frames import AreaFrame
 from dronemon.guard import State
-from dronemon.mission.checks import battery_problem, usable_min
+from dronemon.mission.checks import battery_problem
 from dronemon.preflight import Sight, Verdict, against
+from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.inspection import centre_ned_m, find, look, refusal
 from dronemon.runner.last_seen import LastSeen, last_seen
@@ -91,13 +93,13 @@ class _Flight:
         self._mission = setup.file.mission
         self._link = setup.link
         self._events = EventStream(setup.record, setup.watchers, setup.link)
+        self._battery = Battery(setup.link, self._mission.flight)
         self._supervisor = Supervisor(
             setup.link,
             self._events,
             setup.interrupts,
             progress=self._progress,
-            return_battery=self._mission.flight.return_battery,
-            max_airborne_s=usable_min(self._mission) * 60.0,
+            battery=self._battery,
             planner_name=setup.planner.name,
         )
         self._changes = Changes(setup.link, partial(self._events.note, "parameters"))
@@ -159,6 +161,7 @@ class _Flight:
             if problem := battery_problem(mission, away_m):
                 raise setup.file.error(("area", "latitude_deg"), problem)
             await self._check_fitness(sight, away_m)
+            self._battery.parameters = await link.read_parameters(RETURN_PARAMETERS)
             start_au, roadmap = draw_start_and_roadmap(mission)
             briefing = brief(mission, setup.priors_au, start_au, stream="planner")
             reset = partial(setup.planner.reset, briefing, roadmap)
@@ -178,6 +181,7 @@ class _Flight:
                 setup,
                 self._supervisor,
                 self._events,
+                self._battery,
                 frame=frame,
                 roadmap=roadmap,
                 start_au=start_au,

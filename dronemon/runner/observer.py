@@ -13,6 +13,7 @@ from dronemon.camera import check_picture
 from dronemon.errors import CameraError
 from dronemon.events import Believed, EventStream, Measured, Pictured
 from dronemon.frames import AreaFrame
+from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, make_belief
 from dronemon.runner.tally import Tally
@@ -37,12 +38,15 @@ class Observer:
     belief: what the pictures have told so far.
     """
 
-    def __init__(self, setup: FlightSetup, events: EventStream, frame: AreaFrame) -> None:
+    def __init__(
+        self, setup: FlightSetup, events: EventStream, frame: AreaFrame, battery: Battery
+    ) -> None:
         self._setup = setup
         self._mission = setup.file.mission
         self._link = setup.link
         self._events = events
         self._frame = frame
+        self._battery = battery
         self._names = tuple(target.name for target in self._mission.targets)
         self._appearances = [target.appearance for target in self._mission.targets]
         self._grid_au = belief_grid_au()
@@ -137,6 +141,7 @@ class Observer:
                 measurement=measurement,
                 score=score,
                 battery=self._link.state.battery,
+                battery_needed=self._battery.needed,
                 cross_track_m=tally.cross_track_m[-1] if tally.cross_track_m else None,
             )
         )

@@ -17,12 +17,13 @@ from dronemon.errors import PlannerError
 from dronemon.events import Decided, EventStream, Moved, Progressed
 from dronemon.frames import AreaFrame
 from dronemon.guard import Action
-from dronemon.guidance import Carrot, Drag, Point
+from dronemon.guidance import Carrot, Point
 from dronemon.planner import Snapshot, Waypoint
 from dronemon.planner.motion import until_measurement_au, waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
+from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.observer import Observer
 from dronemon.runner.preparation import FlightSetup
@@ -61,6 +62,7 @@ class Patrol:
         setup: FlightSetup,
         supervisor: Supervisor,
         events: EventStream,
+        battery: Battery,
         *,
         frame: AreaFrame,
         roadmap: Roadmap,
@@ -73,7 +75,8 @@ class Patrol:
         self._events = events
         self._frame = frame
         self._roadmap = roadmap
-        self._observer = Observer(setup, events, frame)
+        self._observer = Observer(setup, events, frame, battery)
+        self._battery, self._drag = battery, battery.drag
         self._names = tuple(target.name for target in self._mission.targets)
         self._horizon_m = self._mission.horizon_au * frame.side_m
         self._num_pictures = math.floor(self._mission.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-6)
@@ -87,7 +90,6 @@ class Patrol:
         self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
         self._due_s = self._answer_s = 0.0  # since when it is, and how long answers took of late
         self._on_path_s = 0.0
-        self._drag = Drag()
         self.tally: Tally | None = None
 
     async def run(self) -> None:
@@ -356,6 +358,7 @@ class Patrol:
             left_s=self._frame.au_to_s(max(horizon_au - flown_au, 0.0)),
             speed_m_s=pose.ground_speed_m_s,
             battery=self._link.state.battery,
+            battery_needed=self._battery.needed,
             since_seen_s=tally.since_seen_s(self._names, pose.time_s)
             if tally
             else dict.fromkeys(self._names),

@@ -32,6 +32,7 @@ from dronemon.guard import (
     State,
     advise,
 )
+from dronemon.runner.battery import Battery
 from dronemon.runner.interrupts import Interrupted, Interrupts
 from dronemon.runner.telling import Telling
 from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
@@ -67,8 +68,7 @@ _UNASKED = {State.RETURNING: Action.RETURN, State.LANDING: Action.LAND, State.EN
 class Supervisor:
     """What one flight has come to, and the steps that the guard asks for.
 
-    progress: tells a line of progress of a phase; return_battery: level at which to return.
-    max_airborne_s: vehicle time after arming at which to return; planner_name: for its errors.
+    progress: tells a line of progress of a phase; planner_name: for its errors.
     outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`; error: what
     went wrong first, also if the drone came home after it.
     was_armed: whether we armed it; is_down: whether the motors are off for sure.
@@ -81,8 +81,7 @@ class Supervisor:
         interrupts: Interrupts,
         *,
         progress: Callable[[str], None],
-        return_battery: float,
-        max_airborne_s: float,
+        battery: Battery,
         planner_name: str,
     ) -> None:
         self._link = link
@@ -91,8 +90,7 @@ class Supervisor:
         self._interrupts = interrupts
         self._progress = progress
         self._report_due_s = -math.inf
-        self._return_battery = return_battery
-        self._max_airborne_s = max_airborne_s
+        self._battery = battery
         self._planner_name = planner_name
         self.state = self._before = State.PREPARING
         self.outcome = "failed"
@@ -101,9 +99,8 @@ class Supervisor:
         self._setback = Setback.NONE
         self._problem: DronemonError | None = None  # behind the setback
         self._down_by_s: float | None = None  # while it is on its way down
-        self._time_s = self._armed_s = 0.0  # vehicle time
+        self._time_s = 0.0  # vehicle time
         self._off_ground_s = self._failsafe_s = -math.inf
-        self._home_by_s = math.inf  # vehicle time at which the battery is at its limit
         self._was_position_lost = self._has_land_worked = False
         self._sure_at = 0  # number of the heartbeat from which "disarmed" is believed
         self._offboard_since: int | None = None  # number of the heartbeat that showed it first
@@ -222,8 +219,7 @@ class Supervisor:
 
     def hear_armed(self) -> None:
         """We armed it: from now on it is ours."""
-        if not self.was_armed:
-            self.was_armed, self._armed_s = True, self._time_s
+        self.was_armed = True
 
     def _keep_track(self) -> None:
         """Keep what the newest state alone does not tell: since when something has been so."""
@@ -242,9 +238,7 @@ class Supervisor:
             self._offboard_since = None
         elif self._offboard_since is None:
             self._offboard_since = number
-        if state.battery is not None:  # else the last level known counts, as it is used up
-            usable = (state.battery - self._return_battery) / max(1.0 - self._return_battery, 1e-9)
-            self._home_by_s = now_s + usable * self._max_airborne_s
+        self._battery.take()
 
     def _situation(self, patrol: PatrolFacts) -> Situation:
         self._keep_track()
@@ -259,8 +253,8 @@ class Supervisor:
             is_on_ground=is_on_ground,
             is_on_ground_long=is_on_ground and now_s > self._off_ground_s + DISARM_LIMIT_S,
             is_position_good=state.is_position_good,
-            is_battery_low=now_s >= self._home_by_s,
-            is_time_up=self.was_armed and now_s > self._armed_s + self._max_airborne_s,
+            is_battery_low=self._battery.is_low,
+            is_time_up=self._battery.is_time_up,
             is_offboard=self._offboard_since is not None and number > self._offboard_since,
             is_holding=state.mode is Mode.HOLD,
             is_failsafe=state.is_failsafe,
@@ -279,6 +273,8 @@ class Supervisor:
         """Tell of a new state, and let go of the vehicle where it is in other hands."""
         if self.state in MISSION and advice.state in {*HOMEWARD, State.ENDED}:
             self._leave_mission(_OUTCOMES.get(advice.reason, "failed"), self._error(advice.reason))
+            if advice.reason in {Reason.BATTERY_LOW, Reason.TIME_UP}:
+                self._events.note("battery", f"{advice.reason}: {self._battery}")
         elif advice.state is State.PILOT:
             self._let_go("control taken")
         elif self.state is State.PILOT and advice.state is not State.ENDED:

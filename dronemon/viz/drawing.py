@@ -151,7 +151,12 @@ class Drawing:
     def _measure(self, event: Measured) -> None:
         """Mark what was seen; extend the series of times since, battery and cross-track error."""
         time_s, measurement = event.time_s, event.measurement
-        self._series(time_s, battery=event.battery, cross_track_m=event.cross_track_m)
+        self._series(
+            time_s,
+            battery=event.battery,
+            battery_needed=event.battery_needed,
+            cross_track_m=event.cross_track_m,
+        )
         for number, name in enumerate(self._names):
             if measurement.seen[number]:
                 self._seen_s[number] = time_s

@@ -31,6 +31,7 @@ SERIES = {
     "ground_speed_m_s": "Ground speed (m/s)",
     "height_m": "Height (m)",
     "battery": "Battery (0 to 1)",
+    "battery_needed": "Battery needed to come home (0 to 1)",
     "cross_track_m": "Cross-track error (m)",
     "decision_ms": "Decision time (ms)",
 }

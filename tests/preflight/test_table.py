@@ -18,7 +18,7 @@ GO, WARNING, NO_GO = Verdict
 MISSION = Mission.model_validate(
     {
         "area": {"side_m": 200},
-        "flight": {"horizon_au": 10},
+        "flight": {"horizon_au": 20},
         "targets": [{"name": "Bella", "appearance": "cow"}],
     }
 )
@@ -89,7 +89,7 @@ def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
         *((LINK, {"NAV_DLL_ACT": n}, NO_GO) for n in (5, 6)),
         ("height of the return", {"RTL_RETURN_ALT": 0}, GO),
         ("height of the return", {"RTL_RETURN_ALT": 150}, WARNING),
-        ("height of the return", {"RTL_RETURN_ALT": 300}, NO_GO),
+        ("height of the return", {"RTL_RETURN_ALT": 900}, NO_GO),
         ("height of the return", {"RTL_RETURN_ALT": 60, "GF_MAX_VER_DIST": 55}, NO_GO),
         ("landing after it", {"RTL_LAND_DELAY": -1}, NO_GO),
         ("landing after it", {"RTL_LAND_DELAY": 90}, WARNING),
@@ -103,7 +103,7 @@ def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
         (BATTERY, {"COM_LOW_BAT_ACT": 2}, WARNING),
         (BATTERY, {"BAT_CRIT_THR": 0.25, "BAT_LOW_THR": 0.3}, NO_GO),
         (BATTERY, {"BAT_EMERGEN_THR": 0.3, "BAT_LOW_THR": 0.3}, NO_GO),
-        (BATTERY, {"BAT_CRIT_THR": 0.2}, WARNING),
+        (BATTERY, {"BAT_CRIT_THR": 0.14, "BAT_LOW_THR": 0.12}, WARNING),
         ("motors idle", {"COM_DISARM_PRFLT": 2}, NO_GO),
         ("motors idle", {"COM_DISARM_PRFLT": -1}, GO),
         ("failsafe's delay", {"COM_FAIL_ACT_T": 0}, GO),
@@ -137,7 +137,7 @@ def test_a_set_up_is_judged_and_what_mends_it_mends_it(
         ("GPS", _gps(dilution=9.9), NO_GO),
         ("GPS", {"gps": None}, WARNING),
         ("battery", {"battery": None}, WARNING),
-        ("battery", {"battery": 0.25}, NO_GO),
+        ("battery", {"battery": 0.2}, NO_GO),
         ("battery", {"battery": 0.4}, WARNING),
         ("pilot takes over", {"has_sticks": False}, WARNING),
         ("remote ID", {"remote_id": ""}, GO),

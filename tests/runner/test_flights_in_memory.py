@@ -489,7 +489,7 @@ def test_a_view_that_fails_is_counted_and_not_heard(flight, monkeypatch):
 
 
 def test_a_low_battery_brings_the_drone_home(flight):
-    result = flight.fly("battery=0.24@12")
+    result = flight.fly("battery=0.18@12")
     assert (result.outcome, result.error) == ("battery low", None)
     _comes_home(flight, result)
 
@@ -839,10 +839,10 @@ def test_a_vehicle_that_others_fly_is_not_touched(flight, height_m):
 
 
 def test_an_empty_battery_is_found_on_the_ground(flight):
-    flight.on_link = lambda link: setattr(link.vehicle, "battery", 0.2)
+    flight.on_link = lambda link: setattr(link.vehicle, "battery", 0.16)
     result = flight.fly()
     assert isinstance(result.error, VehicleError)
-    assert "battery (20%): it is at flight.return_battery" in str(result.error)
+    assert "battery (16%): it lasts 0.3 min down to 15%" in str(result.error)
     assert flight.link.commands == []
 
 
@@ -883,11 +883,7 @@ def test_a_parameter_stays_while_it_is_not_known_whether_the_motors_run(flight):
 
 
 def test_a_battery_that_is_not_known_is_said_and_time_counts_instead(flight):
-    def set_up(link: FakeLink) -> None:
-        link.vehicle.battery = None
-        link.vehicle.parameters["RTL_RETURN_ALT"] = 20.0  # or so short a flight is refused
-
-    flight.on_link = set_up
+    flight.on_link = lambda link: setattr(link.vehicle, "battery", None)
     flight.mission_text = MISSION.replace("horizon_au: 0.8", "horizon_au: 2, endurance_min: 4")
     flight.when("control taken", lambda: flight.later(200.0, lambda: _give_back(flight)))
     result = flight.fly("pilot@12")

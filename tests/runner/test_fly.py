@@ -105,7 +105,7 @@ def test_a_dead_camera_brings_the_drone_home(rehearsal: Rehearsal):
 
 
 def test_a_low_battery_brings_the_drone_home(rehearsal: Rehearsal):
-    result = rehearsal.fly("--fault", "battery=0.24@40")
+    result = rehearsal.fly("--fault", "battery=0.18@40")
     assert result.outcome == "battery low"
     assert result.error is None
     assert result.is_landed

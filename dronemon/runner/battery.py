@@ -1,0 +1,97 @@
+"""What is left in the battery, and what it takes to come home from here: today, in this wind."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping
+
+from dronemon.energy import Drain, Wind, effort_home_s, effort_rate
+from dronemon.errors import VehicleError
+from dronemon.frames import GeoPoint, geo_to_ned
+from dronemon.guidance import Drag
+from dronemon.mission.schema import Flight
+from dronemon.types import Vector3
+from dronemon.vehicle import Landed, VehicleLink
+
+
+class Battery:
+    """Follows the vehicle's level and its way home.
+
+    level:      0 to 1, as heard, or else as it is used up since; None if it was never heard
+    needed:     the level that it takes to come home from here and land
+    drag:       how the air brakes the vehicle; whoever guides it lets it learn
+    parameters: the vehicle's energy.RETURN_PARAMETERS
+    """
+
+    def __init__(self, link: VehicleLink, flight: Flight) -> None:
+        self._link = link
+        self._endurance_s = 60.0 * flight.endurance_min
+        self._reserve = flight.reserve_battery
+        self.level: float | None = None
+        self.needed = 0.0
+        self.drag = Drag()
+        self.parameters: Mapping[str, float] = {}
+        self._time_s = math.inf
+        self._home: tuple[GeoPoint | None, GeoPoint | None] = None, None
+        self._home_ned_m: Vector3 = (0.0, 0.0, 0.0)
+        self._start()
+
+    def _start(self) -> None:
+        """On the ground: a flight begins, maybe with another battery."""
+        self._effort_s = self._airborne_s = 0.0
+        self._drain = Drain(self._endurance_s)
+
+    def take(self) -> None:
+        """Follow the newest state and pose, if there is one."""
+        state = self._link.state
+        with contextlib.suppress(VehicleError):  # not heard yet
+            pose = self._link.pose
+            passed_s = max(pose.time_s - self._time_s, 0.0)
+            self._time_s = pose.time_s
+            roll, pitch, _ = pose.attitude_rad
+            effort_s = passed_s * effort_rate(math.cos(roll) * math.cos(pitch))
+            if state.landed is Landed.ON_GROUND:
+                self._start()
+                self.level = state.battery
+            else:
+                self._airborne_s += passed_s
+                self._use(effort_s, state.battery)
+            self._follow_home(state.home, state.origin)
+            (north, east, down), (home_north, home_east, home_down) = (
+                pose.position_ned_m,
+                self._home_ned_m,
+            )
+            way_m = home_north - north, home_east - east
+            wind = Wind(at_rest_m_s2=self.drag.at_rest_m_s2, drag_per_s=self.drag.per_s)
+            effort_home = effort_home_s(way_m, home_down - down, self.parameters, wind)
+            self.needed = self._drain.needed(effort_home)
+
+    def _use(self, effort_s: float, level: float | None) -> None:
+        self._effort_s += effort_s
+        if level is not None:
+            self._drain.take(self._effort_s, level)
+            self.level = level
+        elif self.level is not None:
+            self.level = max(self.level - effort_s * self._drain.per_s, 0.0)
+
+    def _follow_home(self, home: GeoPoint | None, origin: GeoPoint | None) -> None:
+        if home is None or origin is None or (home, origin) == self._home:
+            return
+        self._home = home, origin
+        north, east, down = map(float, geo_to_ned(home, origin))
+        self._home_ned_m = north, east, down
+
+    @property
+    def is_low(self) -> bool:
+        """Whether the level known just brings it home with what is to be left."""
+        return self.level is not None and self.level <= self.needed + self._reserve
+
+    @property
+    def is_time_up(self) -> bool:
+        """The same of a battery that lasts as long as the mission says."""
+        return 1.0 - self._airborne_s / self._endurance_s <= self.needed + self._reserve
+
+    def __str__(self) -> str:
+        left = "level unknown" if self.level is None else f"{self.level:.0%} left"
+        return f"{left}, {self.needed:.0%} needed to get home, {self._reserve:.0%} to land with"

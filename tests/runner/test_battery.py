@@ -1,0 +1,112 @@
+"""The way home begins just in time to land with what is to be left, also against the wind."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import virtual_time
+from fake_link import FakeCamera, FakeLink
+from windy_vehicle import WindyVehicle
+
+from dronemon.events import Event, Measured, Noted, Progressed
+from dronemon.mission import load_mission
+from dronemon.planner import Briefing, Snapshot, Waypoint
+from dronemon.roadmap import Roadmap
+from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission
+
+CORNERS_AU = tuple(itertools.product((0.02, 0.98), repeat=2))
+RESERVE, ENDURANCE_MIN = 0.15, 10.0
+MISSION = """
+name: corner
+area: {{side_m: 200}}
+flight: {{altitude_m: 45, horizon_au: 4, start_au: {start_au}, endurance_min: 10}}
+targets:
+  - {{name: Bella, appearance: cow}}
+"""
+
+
+class AtCorner:
+    """Flies to and fro at a corner."""
+
+    name = "at corner"
+
+    def __init__(self, corner_au: Sequence[float]) -> None:
+        self._corner_au = np.array(corner_au)
+        self._asked = 0
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        pass
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        self._asked += 1
+        inward_au = np.sign(0.5 - self._corner_au) * [0.1, 0.05]
+        return Waypoint(position_au=self._corner_au + self._asked % 2 * inward_au)
+
+
+class Blind:
+    def detect(self, *_: object) -> tuple[()]:
+        return ()
+
+
+class Listener:
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+
+    def take(self, event: Event) -> None:
+        self.events.append(event)
+
+    def text(self, kind: str) -> str:
+        return next(e.text for e in self.events if isinstance(e, Noted) and e.kind == kind)
+
+
+def _fly(
+    path: Path, corner_au: Sequence[float], vehicle: WindyVehicle
+) -> tuple[FlightResult, Listener]:
+    path.write_text(MISSION.format(start_au=list(corner_au)))
+    listener = Listener()
+
+    async def fly() -> FlightResult:
+        async with FakeLink() as link:
+            link.vehicle = vehicle
+            return await fly_mission(
+                FlightSetup(
+                    file=load_mission(path),
+                    link=link,
+                    camera=FakeCamera(link, 640, 480),
+                    detector=Blind(),
+                    planner=AtCorner(corner_au),
+                    priors_au=np.full((1, 2), np.nan),
+                    record=listener,
+                    watchers=(),
+                    interrupts=Interrupts(),
+                )
+            )
+
+    return virtual_time.run(fly()), listener
+
+
+def _lands_with(
+    path: Path, corner_au: Sequence[float], charge: float, wind_m_s: float
+) -> tuple[float, Listener]:
+    vehicle = WindyVehicle((0.0, wind_m_s), charge, 60.0 * ENDURANCE_MIN)
+    result, listener = _fly(path, corner_au, vehicle)
+    assert (result.outcome, result.error, result.is_landed) == ("battery low", None, True)
+    return vehicle.charge, listener
+
+
+@pytest.mark.parametrize("corner_au", CORNERS_AU)
+def test_against_the_wind_it_lands_with_what_is_to_be_left(tmp_path: Path, corner_au):
+    left, _ = _lands_with(tmp_path / "corner.yaml", corner_au, 0.5, 8.0)
+    assert left >= RESERVE
+
+
+def test_without_wind_it_returns_no_earlier_than_it_must(tmp_path: Path):
+    left, listener = _lands_with(tmp_path / "corner.yaml", CORNERS_AU[0], 0.42, 0.0)
+    assert RESERVE <= left <= RESERVE + 0.05
+    assert "% needed to get home, 15% to land with" in listener.text("battery")
+    told = [e for e in listener.events if isinstance(e, Measured | Progressed)]
+    assert max(event.battery_needed for event in told) == pytest.approx(0.15, abs=0.03)
