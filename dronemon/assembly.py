@@ -276,6 +276,7 @@ def _link(mission: Mission, sim: Simulator | None) -> MavsdkLink:
     url = sim.vehicle_url if sim and sim.vehicle_url else vehicle.url
     return MavsdkLink(
         url,
+        is_port_held=url != vehicle.url,
         system_id=vehicle.system_id,
         connect_timeout_s=vehicle.connect_timeout_s,
         command_timeout_s=vehicle.command_timeout_s,

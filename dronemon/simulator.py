@@ -10,7 +10,7 @@ import contextlib
 import json
 import socket
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,15 +52,14 @@ async def simulator(folder: Path, follow: str | None) -> AsyncIterator[Simulator
     follow: MAVLink URL of a vehicle whose pose and clock the simulated camera follows, instead of
     flying one. Raises VehicleError if it does not start or ends early.
     """
-    port, log = _free_udp_port(), folder / SIMULATOR_LOG
-    where = ["--follow", follow] if follow else ["--mavlink-out", f"127.0.0.1:{port}"]
+    log = folder / SIMULATOR_LOG
     # -P: a `sim` that happens to lie in the current folder is not ours.
     files = [str(folder / MISSION_FILE), "--truth", str(folder / TRUTH_FILE)]
-    command = ["-P", "-m", "sim", *files, *where, "--parent"]
-    with log.open("wb") as log_file:
+    with held_udp_port() as port, log.open("wb") as log_file:
+        where = ["--follow", follow] if follow else ["--mavlink-out", f"127.0.0.1:{port}"]
         process = await asyncio.create_subprocess_exec(
             sys.executable,
-            *command,
+            *("-P", "-m", "sim", *files, *where, "--parent"),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=log_file,
@@ -115,11 +114,18 @@ async def _stop(process: asyncio.subprocess.Process) -> None:
     await process.wait()
 
 
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
+@contextlib.contextmanager
+def held_udp_port() -> Iterator[int]:
+    """A loopback port that nobody else is given meanwhile; a link can listen on it all the same.
+
+    What holds it hears nobody but itself.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.connect(holder.getsockname())
+        # Not before it is bound: two who would share might be given the same one.
+        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        yield holder.getsockname()[1]
 
 
 def read_truth(folder: Path) -> dict[float, FloatArray]:

@@ -54,6 +54,7 @@ _UP = (Landed.TAKING_OFF, Landed.IN_AIR)
 class MavsdkLink:
     """A PX4 vehicle at a MAVLink URL. Implements VehicleLink.
 
+    is_port_held:                           whether the caller holds the port, for this link alone
     system_id:                              of the vehicle, where several are heard
     connect_timeout_s, link_loss_timeout_s: wall time
     command_timeout_s:                      vehicle time
@@ -63,6 +64,7 @@ class MavsdkLink:
         self,
         url: str,
         *,
+        is_port_held: bool = False,
         system_id: int | None = None,
         connect_timeout_s: float = 10.0,
         command_timeout_s: float = 10.0,
@@ -75,6 +77,7 @@ class MavsdkLink:
             url,
             take=self._heard.take,
             names=self._telemetry.messages,
+            is_port_held=is_port_held,
             system_id=system_id,
             connect_timeout_s=connect_timeout_s,
         )

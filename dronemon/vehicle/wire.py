@@ -47,6 +47,7 @@ class Wire:
     names:      of the messages that are wanted
     parameters: of the vehicle
 
+    A port that is held for this link is not asked whether it is free.
     Its limits are wall time.
     """
 
@@ -56,6 +57,7 @@ class Wire:
         *,
         take: _Take,
         names: Iterable[str],
+        is_port_held: bool,
         system_id: int | None,
         connect_timeout_s: float,
     ) -> None:
@@ -64,6 +66,7 @@ class Wire:
         self._take = take
         self._names = (*names, "COMMAND_ACK", "PING", "PARAM_VALUE")
         self.parameters = Parameters(self.send, self.round_trip)
+        self._is_port_held = is_port_held
         self._system_id = system_id
         self._connect_timeout_s = connect_timeout_s
         self._num_acks: dict[int, int] = {}
@@ -95,7 +98,8 @@ class Wire:
 
     async def _connect(self) -> None:
         mavsdk_logging._cmavsdk_lib.mavsdk_log_subscribe(_LOG_CALLBACK, None)
-        _check_port(self._url)
+        if not self._is_port_held:
+            _check_port(self._url)
         configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
         self._own = (configuration.system_id, configuration.component_id)
         connections = await self._exit.enter_async_context(Mavsdk(configuration))

@@ -11,7 +11,9 @@ from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import LinkLost, LinkTimeout, VehicleError, WrongVehicle
+from dronemon.simulator import held_udp_port
 from dronemon.vehicle import Mode
+from dronemon.vehicle.mavsdk_link import MavsdkLink
 
 
 async def nothing(_link):
@@ -80,6 +82,24 @@ def test_a_port_that_another_program_listens_on_is_refused():
         other.bind(("0.0.0.0", air.port))
         with pytest.raises(LinkTimeout, match="another program listens on udpin"):
             air.run(nothing)
+
+
+def test_a_port_that_is_held_for_a_link_is_given_to_no_other_one():
+    with held_udp_port() as port:
+        air = Air()
+        air.port, air.url = port, f"udpin://127.0.0.1:{port}"
+        air.beats((1, 1))
+        air.flies((1, 1))
+
+        async def story(link):
+            await link.next_pose()
+            with pytest.raises(LinkTimeout, match="another program listens"):
+                await MavsdkLink(air.url).__aenter__()
+            await link.next_heartbeat()
+
+        with pytest.raises(LinkTimeout, match="another program listens"):
+            asyncio.run(MavsdkLink(air.url).__aenter__())
+        air.run(story, is_port_held=True)
 
 
 def test_a_heartbeat_that_stays_away_is_asked_for():
