@@ -62,12 +62,14 @@ class Progressed(Event):
 class AreaLaid(Event):
     """The area lies over the ground, and the roadmap in it.
 
-    nodes_au: (V, 2) au places of the nodes
-    edges:    (E, 2) int node numbers
+    fence_ned_m: (n, 2) corners of the fence around it, north and east
+    nodes_au:    (V, 2) au places of the nodes
+    edges:       (E, 2) int node numbers
     """
 
     area: AreaFrame
     footprint_radius_m: float
+    fence_ned_m: FloatArray
     nodes_au: FloatArray
     edges: IntArray
 

@@ -78,6 +78,7 @@ class Reason(StrEnum):
         "nothing was heard of the estimator for long, though other signs of a good position are "
         "there; it returns while they are"
     )
+    OUTSIDE = "the drone is about to leave its fence, or its heights; it returns"
     OFF_PATH = "the drone left its path or its height by more than wind explains; it returns"
     STUCK = "the drone makes no way, as against too strong a wind; it returns"
     BLIND = "no picture could be taken and read for too long; the drone returns"
@@ -115,6 +116,7 @@ class Situation:
     is_sure: whether two heartbeats in a row, none of them older than our last request to arm, say
     what `is_armed` says; is_offboard needs two as well.
     is_position_good: whether there is an absolute position.
+    is_outside: whether it could not stop within the fence any more, or is too high or too low.
     is_holding, is_coming_down: whether the mode is hold; whether it is return or land.
     is_failsafe_long: whether a failsafe has held for longer than it does before it acts.
     is_position_back: whether it was lost on this flight, and no return was refused since.
@@ -135,6 +137,7 @@ class Situation:
     is_battery_low: bool = False
     is_time_up: bool = False
     is_estimate_silent: bool = False
+    is_outside: bool = False
     is_off_path: bool = False
     is_stuck: bool = False
     is_blind: bool = False
@@ -158,6 +161,7 @@ class PatrolFacts(TypedDict, total=False):
     is_horizon_flown: bool
     is_planner_late: bool
     is_estimate_silent: bool
+    is_outside: bool
     is_off_path: bool
     is_stuck: bool
     is_blind: bool
@@ -235,6 +239,7 @@ TABLE = (
         State.LANDING, Action.LEAVE, Reason.NO_POSITION),
     Row(_LAUNCHING + _PATROLLING, lambda s: s.times_interrupted >= 1,
         State.RETURNING, Action.LEAVE, Reason.INTERRUPTED),
+    Row(_PATROLLING, lambda s: s.is_outside, State.RETURNING, Action.LEAVE, Reason.OUTSIDE),
     Row(_PATROLLING, lambda s: s.is_battery_low, State.RETURNING, Action.LEAVE, Reason.BATTERY_LOW),
     Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
     Row(_PATROLLING, lambda s: s.is_time_up, State.RETURNING, Action.LEAVE, Reason.TIME_UP),

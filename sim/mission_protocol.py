@@ -10,10 +10,15 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 MAX_ITEMS = 2000
-_TYPES = (
-    mavlink.MAV_MISSION_TYPE_MISSION,
-    mavlink.MAV_MISSION_TYPE_FENCE,
-    mavlink.MAV_MISSION_TYPE_RALLY,
+_MAX_ITEMS = {
+    mavlink.MAV_MISSION_TYPE_MISSION: MAX_ITEMS,
+    mavlink.MAV_MISSION_TYPE_FENCE: 64,
+    mavlink.MAV_MISSION_TYPE_RALLY: 32,
+}
+_LEAST_CORNERS = 3
+_POLYGONS = (
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
 )
 
 
@@ -21,7 +26,7 @@ class MissionStore:
     """The items of each mission type, each upload a new list, and the mission's current item."""
 
     def __init__(self) -> None:
-        self.items: dict[int, list[Any]] = {kind: [] for kind in _TYPES}
+        self.items: dict[int, list[Any]] = {kind: [] for kind in _MAX_ITEMS}
         self.current = 0
 
 
@@ -49,7 +54,7 @@ class MissionProtocol:
     def _begin_upload(self, message: Any) -> list[Any]:
         if message.mission_type not in self._store.items:
             return [_mission_ack(message, mavlink.MAV_MISSION_UNSUPPORTED)]
-        if message.count > MAX_ITEMS:
+        if message.count > _MAX_ITEMS[message.mission_type]:
             return [_mission_ack(message, mavlink.MAV_MISSION_NO_SPACE)]
         if message.count == 0:
             return self._finish(message, [])
@@ -66,6 +71,9 @@ class MissionProtocol:
         mission_type, count, items = self._upload
         if message.mission_type != mission_type:
             return [_mission_ack(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
+        if message.command in _POLYGONS and message.param1 < _LEAST_CORNERS:
+            self._upload = None
+            return [_mission_ack(message, mavlink.MAV_MISSION_ERROR)]
         if message.seq == len(items):
             items.append(message)
         return (
@@ -97,7 +105,7 @@ class MissionProtocol:
     def _clear(self, message: Any) -> list[Any]:
         self._upload = None
         if message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
-            self._store.items = {kind: [] for kind in _TYPES}
+            self._store.items = {kind: [] for kind in _MAX_ITEMS}
         elif message.mission_type in self._store.items:
             self._store.items[message.mission_type] = []
         else:

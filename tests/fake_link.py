@@ -28,6 +28,7 @@ from dronemon.frames import GeoPoint
 from dronemon.mission.faults import parse_fault
 from dronemon.types import GpsFix, Picture, Pose, Vector3
 from dronemon.vehicle import Landed, Mode, Setpoint, StatusText, VehicleState
+from dronemon.vehicle.fence_items import FenceItem
 from sim.faults import FaultSchedule
 from sim.parameters import TABLE as PARAMETERS
 
@@ -70,6 +71,7 @@ class FakeVehicle:
         self.parameters = {p.name: float(p.default) for p in PARAMETERS}
         self.parameters |= {"COM_OBL_RC_ACT": 3.0, "COM_RC_OVERRIDE": 3.0, "GF_ACTION": 3.0}
         self.has_sticks = True
+        self.fence: tuple[FenceItem, ...] = ()
 
     @property
     def is_on_ground(self) -> bool:
@@ -364,6 +366,14 @@ class FakeLink:
             raise CommandRejected(f"{name}: not set")
         self.commands.append(f"{name}={value:g}")
         self.vehicle.parameters[name] = value
+
+    async def read_fence(self) -> tuple[FenceItem, ...]:
+        return self.vehicle.fence
+
+    async def write_fence(self, items: Sequence[FenceItem]) -> None:
+        if not self.vehicle.command("fence"):
+            raise CommandRejected("the fence is refused")
+        self.vehicle.fence = tuple(items)
 
     # Commands
 

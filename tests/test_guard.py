@@ -40,6 +40,7 @@ MISSION_FACTS = (
     *("is_sure", "is_on_ground", "is_position_good", "is_battery_low", "is_time_up"),
     *(
         "is_estimate_silent",
+        "is_outside",
         "is_off_path",
         "is_stuck",
         "is_blind",
@@ -161,6 +162,7 @@ def test_the_patrol_goes_on_only_while_nothing_is_against_it():
             assert not situation.is_battery_low
             assert not situation.is_time_up
             assert not situation.is_estimate_silent
+            assert not situation.is_outside
             assert not situation.is_off_path
             assert not situation.is_stuck
             assert not situation.is_blind

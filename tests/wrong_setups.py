@@ -29,6 +29,7 @@ WRONG = (
     ({"NAV_DLL_ACT": 5}, "NAV_DLL_ACT=0"),
     ({"RTL_RETURN_ALT": 900.0}, "RTL_RETURN_ALT=45"),
     ({"RTL_LAND_DELAY": -1.0}, "RTL_LAND_DELAY=0"),
+    ({"GF_ACTION": 0}, "GF_ACTION=3"),
     ({"GF_ACTION": 4}, "GF_ACTION=3"),
     ({"GF_MAX_HOR_DIST": 50.0}, "GF_MAX_HOR_DIST=170"),
     ({"GF_MAX_VER_DIST": 20.0}, "GF_MAX_VER_DIST=54"),
@@ -54,7 +55,7 @@ async def ask(link: VehicleLink) -> str:
         watchers=(),
         interrupts=Interrupts(),
     )
-    findings = await find(setup, Sight(wait_s=0.1, age_s=0.1), away_m=0.0)
+    findings = await find(setup, Sight(wait_s=0.1, age_s=0.1), frame=None)
     return str(refusal(findings, MISSION) or "")
 
 

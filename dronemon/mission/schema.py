@@ -77,6 +77,8 @@ class Flight(Section):
     """Flight time of a full battery; the check before take-off uses it."""
     start_au: Place | None = None
     """Where the patrol starts, [x, y] from 0 to 1; drawn if absent."""
+    fence_margin_m: float = Field(30.0, ge=10.0, le=1000.0)
+    """How far the fence is from the area, home and the way between."""
 
     @model_validator(mode="after")
     def _one_horizon(self) -> Flight:

@@ -1,12 +1,13 @@
 """Go or no-go before a take-off."""
 
-from dronemon.preflight.findings import Facts, Finding, Sight, Verdict
+from dronemon.preflight.findings import Facts, Finding, OwnFence, Sight, Verdict
 from dronemon.preflight.table import PARAMETERS, against, judge, mending_options
 
 __all__ = [
     "PARAMETERS",
     "Facts",
     "Finding",
+    "OwnFence",
     "Sight",
     "Verdict",
     "against",

@@ -165,14 +165,37 @@ def on_return_hover(facts: Facts, _: Mission) -> Judgement:
 
 def on_fence(facts: Facts, _: Mission) -> Judgement:
     """What happens at a fence."""
-    deed, mends = _deed(_ON_FENCE, facts.parameters["GF_ACTION"]), {"GF_ACTION": 3.0}
+    action = facts.parameters["GF_ACTION"]
+    deed, mends = _deed(_ON_FENCE, action), {"GF_ACTION": 3.0}
     when = "at a fence"
+    if action == 0:
+        return no(f"{when} it does nothing, and the flight's own is for nothing", **mends)
     if deed is _Deed.HOLD:
         what = f"this program returns after {facts.hold_limit_s:g} s"
         return warn(f"{when} it hovers; {what}, and nobody if that is gone", **mends)
     if deed is _Deed.NOTHING:
-        return warn(f"{when} it {deed.value}", **mends)
+        return warn(
+            f"{when} it only warns; this program returns, and nobody if that is gone", **mends
+        )
     return _weigh(deed, when, facts, mends)
+
+
+def on_own_fence(facts: Facts, mission: Mission) -> Judgement:
+    """Whether the vehicle's own fence, which is kept beside the flight's, allows the flight."""
+    own = facts.own_fence
+    if own is None:
+        return warn("whether it allows the flight is not known")
+    if own.num_against:
+        return no(
+            f"{own.num_against} of them are against the mission's area, home or the way between; "
+            "change them with a ground station, or move the area"
+        )
+    if own.num_near:
+        return warn(
+            f"{own.num_near} of them are nearer than flight.fence_margin_m, "
+            f"{mission.flight.fence_margin_m:g} m: there the autopilot acts before this program"
+        )
+    return go("it is kept, besides the flight's own" if own.num_areas else "it has none")
 
 
 def on_fence_size(facts: Facts, mission: Mission) -> Judgement:

@@ -52,11 +52,25 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OwnFence:
+    """What the vehicle's own fence is to the flight, in numbers of its areas.
+
+    num_against: those that do not allow the mission's area, home or the way between
+    num_near:    those that do, but not all within the flight's own fence
+    """
+
+    num_areas: int
+    num_against: int
+    num_near: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
     """All that the table looks at.
 
     parameters:      by name; those that the vehicle does not have are missing
     away_m:          distance from home to the area's centre
+    own_fence:       the vehicle's; None if it was not looked at
     has_sticks:      whether a pilot's remote control is heard
     unready:         why it cannot be armed; None if it can
     estimate_doubts: what is against the estimate, in words
@@ -69,6 +83,7 @@ class Facts:
 
     parameters: Mapping[str, float]
     away_m: float
+    own_fence: OwnFence | None
     has_sticks: bool
     battery: float | None
     unready: str | None = None

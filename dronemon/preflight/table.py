@@ -21,6 +21,10 @@ def _gps(facts: Facts) -> str:
     return "not heard" if facts.gps is None else str(facts.gps)
 
 
+def _own_fence(facts: Facts) -> str:
+    return "not looked at" if facts.own_fence is None else f"{facts.own_fence.num_areas} areas"
+
+
 def _sight(facts: Facts) -> str:
     sight = facts.sight
     if isinstance(sight, CameraError):
@@ -47,6 +51,7 @@ TABLE = (
     Row("fence crossed", ("GF_ACTION",), autopilot.on_fence),
     Row("fence around home", ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION"),
         autopilot.on_fence_size),
+    Row("vehicle's own fence", (), autopilot.on_own_fence, _own_fence),
     Row("battery levels", _LEVELS, autopilot.on_battery_levels),
     Row("battery", (), autopilot.on_battery,
         lambda f: "unknown" if f.battery is None else f"{f.battery:.0%}"),

@@ -14,13 +14,15 @@ import numpy as np
 from dronemon.energy import RETURN_PARAMETERS
 from dronemon.errors import DronemonError, PlannerError, RecordError, VehicleError
 from dronemon.events import AreaLaid, EventStream, Progressed
+from dronemon.fence import Fence
 from dronemon.frames import AreaFrame
 from dronemon.guard import State
 from dronemon.mission.checks import battery_problem
 from dronemon.preflight import Sight, Verdict, against
+from dronemon.roadmap import Roadmap
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.inspection import centre_ned_m, find, look, refusal
+from dronemon.runner.inspection import fence_around, find, lay_area, look, refusal
 from dronemon.runner.last_seen import LastSeen, last_seen
 from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
@@ -29,6 +31,7 @@ from dronemon.runner.tally import Tally
 from dronemon.types import Vector3
 from dronemon.vehicle import Mode
 from dronemon.vehicle.changes import Changes
+from dronemon.vehicle.fence_items import polygon_items
 
 NOT_STARTED = "nothing has flown: the motors were not started"
 DOWN = "the drone is down, and its motors are off"
@@ -160,37 +163,30 @@ class _Flight:
             away_m = math.dist(link.pose.position_ned_m[:2], frame.centre_ned_m)
             if problem := battery_problem(mission, away_m):
                 raise setup.file.error(("area", "latitude_deg"), problem)
-            await self._check_fitness(sight, away_m)
             self._battery.parameters = await link.read_parameters(RETURN_PARAMETERS)
+            await self._check_fitness(sight, frame)
+            fence = await self._lay_fence(frame)
             start_au, roadmap = draw_start_and_roadmap(mission)
             briefing = brief(mission, setup.priors_au, start_au, stream="planner")
             reset = partial(setup.planner.reset, briefing, roadmap)
             who = f"planner '{setup.planner.name}'"
             await in_daemon_thread(reset, who, PlannerError, _RESET_LIMIT_S)
-            edges = np.argwhere(roadmap.edge_lengths_au.toarray() > 0)
-            self._events.emit(
-                AreaLaid(
-                    area=frame,
-                    footprint_radius_m=mission.sensor_radius_m,
-                    nodes_au=roadmap.nodes_au,
-                    edges=edges,
-                )
-            )
-            self._events.note("ready", "the vehicle is ready", frame=asdict(frame))
+            self._tell_area(frame, fence, roadmap)
             self._patrol = Patrol(
                 setup,
                 self._supervisor,
                 self._events,
                 self._battery,
                 frame=frame,
+                fence=fence,
                 roadmap=roadmap,
                 start_au=start_au,
             )
             await link.next_heartbeat()  # the guard judges a fresh state
 
-    async def _check_fitness(self, sight: Sight, away_m: float) -> None:
+    async def _check_fitness(self, sight: Sight, frame: AreaFrame) -> None:
         """Tell what is not as it should be. Raises VehicleError where it must not fly so."""
-        findings = await find(self._setup, sight, away_m=away_m)
+        findings = await find(self._setup, sight, frame=frame)
         if error := refusal(findings, self._setup.file.path):
             raise error
         for finding in against(findings, Verdict.WARNING):
@@ -198,14 +194,31 @@ class _Flight:
 
     async def _lay_area(self) -> AreaFrame:
         """Lay the square over the ground; its height is what the vehicle reads standing on it."""
-        area = self._mission.area
         downs_m = [(await self._link.next_pose()).position_ned_m[2] for _ in range(_GROUND_POSES)]
-        return AreaFrame(
-            centre_ned_m=centre_ned_m(self._mission, self._link.state),
-            ground_down_m=float(np.mean(downs_m)),
-            side_m=area.side_m,
-            heading_rad=math.radians(area.heading_deg),
-            cruise_speed_m_s=self._mission.flight.cruise_speed_m_s,
+        return lay_area(self._mission, self._link.state, float(np.mean(downs_m)))
+
+    async def _lay_fence(self, frame: AreaFrame) -> Fence:
+        """Have the vehicle keep the fence that the guard keeps."""
+        fence, origin = fence_around(self._mission, frame, self._link), self._link.state.origin
+        assert origin is not None  # wait_ready waited for it
+        await self._changes.lay_fence(polygon_items(fence.corners_deg(origin)))
+        return fence
+
+    def _tell_area(self, frame: AreaFrame, fence: Fence, roadmap: Roadmap) -> None:
+        self._events.emit(
+            AreaLaid(
+                area=frame,
+                footprint_radius_m=self._mission.sensor_radius_m,
+                fence_ned_m=fence.corners_ned_m,
+                nodes_au=roadmap.nodes_au,
+                edges=np.argwhere(roadmap.edge_lengths_au.toarray() > 0),
+            )
+        )
+        self._events.note(
+            "ready",
+            "the vehicle is ready, and has the flight's fence",
+            frame=asdict(frame),
+            fence_ned_m=fence.corners_ned_m,
         )
 
     # In the air

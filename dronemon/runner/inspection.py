@@ -12,12 +12,14 @@ from pathlib import Path
 
 from dronemon.camera import check_picture
 from dronemon.errors import CameraError, DronemonError, LinkLost, VehicleError
-from dronemon.frames import GeoPoint, geo_to_ned
+from dronemon.fence import Fence
+from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import Mission
 from dronemon.preflight import (
     PARAMETERS,
     Facts,
     Finding,
+    OwnFence,
     Sight,
     Verdict,
     against,
@@ -29,8 +31,9 @@ from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, try_detector
 from dronemon.runner.supervisor import FAILSAFE_HOLD_LIMIT_S
 from dronemon.types import Picture
-from dronemon.vehicle import VehicleState
+from dronemon.vehicle import VehicleLink, VehicleState
 from dronemon.vehicle.changes import Changes
+from dronemon.vehicle.fence_items import areas_of
 
 _CAMERA_TRIES = 3
 _DETECTOR_LIMIT_S = 60.0
@@ -53,8 +56,8 @@ async def look(setup: FlightSetup) -> Sight:
     return Sight(wait_s=wait_s, age_s=max(now_s - picture.time_s, 0.0))
 
 
-def centre_ned_m(mission: Mission, state: VehicleState) -> tuple[float, float]:
-    """Where the area's centre is, north and east; home and origin must be known."""
+def lay_area(mission: Mission, state: VehicleState, ground_down_m: float) -> AreaFrame:
+    """Lay the square over the ground; home and origin must be known."""
     area = mission.area
     assert state.home is not None  # wait_ready waited for both
     assert state.origin is not None
@@ -62,23 +65,66 @@ def centre_ned_m(mission: Mission, state: VehicleState) -> tuple[float, float]:
     if area.latitude_deg is not None and area.longitude_deg is not None:
         centre = GeoPoint(latitude_deg=area.latitude_deg, longitude_deg=area.longitude_deg)
     north_m, east_m, _ = geo_to_ned(centre, state.origin)
-    return float(north_m), float(east_m)
+    return AreaFrame(
+        centre_ned_m=(float(north_m), float(east_m)),
+        ground_down_m=ground_down_m,
+        side_m=area.side_m,
+        heading_rad=math.radians(area.heading_deg),
+        cruise_speed_m_s=mission.flight.cruise_speed_m_s,
+    )
+
+
+def fence_around(
+    mission: Mission, frame: AreaFrame, link: VehicleLink, margin_m: float | None = None
+) -> Fence:
+    """The flight's fence; margin_m: the mission's unless it is given."""
+    state, flight = link.state, mission.flight
+    assert state.home is not None  # as above
+    assert state.origin is not None
+    north_m, east_m, _ = geo_to_ned(state.home, state.origin)
+    stands_m = link.pose.position_ned_m[:2]  # home will be there, once it is armed
+    return Fence.around(
+        frame,
+        [(float(north_m), float(east_m)), stands_m],
+        altitude_m=flight.altitude_m,
+        margin_m=flight.fence_margin_m if margin_m is None else margin_m,
+    )
+
+
+async def _own_fence(mission: Mission, frame: AreaFrame, link: VehicleLink) -> OwnFence:
+    """Compare the vehicle's own fence with the flight's. Raises VehicleError."""
+    areas, origin = areas_of(await link.read_fence()), link.state.origin
+    assert origin is not None  # the area is laid
+    num_against, num_near = (
+        sum(not area.allows(fence_around(mission, frame, link, margin_m), origin) for area in areas)
+        for margin_m in (0.0, None)
+    )
+    return OwnFence(num_areas=len(areas), num_against=num_against, num_near=num_near - num_against)
 
 
 async def find(
     setup: FlightSetup,
     sight: Sight | CameraError,
     *,
-    away_m: float,
+    frame: AreaFrame | None,
     unready: str | None = None,
     detector: str | None = None,
 ) -> tuple[Finding, ...]:
-    """What the table says of the vehicle as it is now. See Facts. Raises LinkLost."""
-    parameters = await setup.link.read_parameters(PARAMETERS)
-    state = setup.link.state
+    """What the table says of the vehicle as it is now. See Facts. Raises VehicleError.
+
+    frame: the area as it is laid; None where it is not known where the vehicle is
+    """
+    link, mission = setup.link, setup.file.mission
+    parameters = await link.read_parameters(PARAMETERS)
+    away_m, own_fence = 0.0, None
+    if frame is not None:
+        away_m = math.dist(link.pose.position_ned_m[:2], frame.centre_ned_m)
+        own_fence = await _own_fence(mission, frame, link)
+    state = link.state
     facts = Facts(
         parameters=parameters,
         away_m=away_m,
+        own_fence=own_fence,
         has_sticks=state.has_sticks,
         battery=state.battery,
         unready=unready,
@@ -91,7 +137,7 @@ async def find(
         needed_bytes=NEEDED_BYTES,
         hold_limit_s=FAILSAFE_HOLD_LIMIT_S,
     )
-    return judge(facts, setup.file.mission)
+    return judge(facts, mission)
 
 
 def refusal(findings: Sequence[Finding], mission: Path) -> VehicleError | None:
@@ -137,11 +183,9 @@ async def inspect_vehicle(setup: FlightSetup, tell: Callable[[str], None]) -> tu
                 sight = await look(setup)
             except CameraError as exc:
                 sight = exc
-            state = link.state
-            away_m = 0.0
-            if state.home and state.origin:
-                home_m = geo_to_ned(state.home, state.origin)[:2]
-                away_m = math.dist(map(float, home_m), centre_ned_m(mission, state))
-            return await find(setup, sight, away_m=away_m, unready=unready, detector=detector)
+            frame = None
+            if link.state.home and link.state.origin:
+                frame = lay_area(mission, link.state, link.pose.position_ned_m[2])
+            return await find(setup, sight, frame=frame, unready=unready, detector=detector)
     finally:
         await changes.put_back()

@@ -15,6 +15,7 @@ from functools import partial
 from dronemon.arena import ARENA
 from dronemon.errors import PlannerError
 from dronemon.events import Decided, EventStream, Moved, Progressed
+from dronemon.fence import Fence
 from dronemon.frames import AreaFrame
 from dronemon.guard import Action
 from dronemon.guidance import Carrot, Point
@@ -65,6 +66,7 @@ class Patrol:
         battery: Battery,
         *,
         frame: AreaFrame,
+        fence: Fence,
         roadmap: Roadmap,
         start_au: FloatArray,
     ) -> None:
@@ -74,6 +76,7 @@ class Patrol:
         self._supervisor = supervisor
         self._events = events
         self._frame = frame
+        self._fence = fence
         self._roadmap = roadmap
         self._observer = Observer(setup, events, frame, battery)
         self._battery, self._drag = battery, battery.drag
@@ -126,7 +129,9 @@ class Patrol:
         pose = self._link.pose
         limit_s = pose.time_s + _CLIMB_LIMIT_S
         while not self._is_at_height(pose):
-            advice = self._supervisor.ask(is_off_path=pose.time_s > limit_s)
+            advice = self._supervisor.ask(
+                is_outside=not self._fence.stops_inside(pose), is_off_path=pose.time_s > limit_s
+            )
             if advice.action is not Action.GO_ON:
                 return False
             await self._link.send_setpoint(self._setpoint(place_m))
@@ -163,6 +168,7 @@ class Patrol:
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
                 is_estimate_silent=not self._link.state.is_estimate_heard,
+                is_outside=not (self._fence.stops_inside(pose) and self._fence.is_at_height(pose)),
                 is_off_path=self._is_off_path(pose),
                 is_stuck=self._is_stuck(pose),
                 is_blind=self._observer.is_blind(pose.time_s),

@@ -1,7 +1,7 @@
 """What we change on a vehicle for a flight, and put back: also after a crash, at the next start.
 
-Before anything is changed, what it was is on disk, in one small file for each vehicle in the user's
-state folder. The file goes only when all in it has been put back.
+Before anything is changed, what it was is on disk, in small files for each vehicle in the user's
+state folder: its parameters, and its fence. A file goes only when all in it has been put back.
 """
 
 from __future__ import annotations
@@ -10,11 +10,13 @@ import contextlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from dronemon.durable import replace_text, sync_folder
 from dronemon.errors import CommandRejected, RecordError, VehicleError
+from dronemon.vehicle.fence_items import FenceItem, are_alike, item_of
 from dronemon.vehicle.link import VehicleLink
 from dronemon.vehicle.parameters import as_float32
 
@@ -54,9 +56,40 @@ class Changes:
             await self._link.write_parameter(name, value)
             self._tell(f"{name} is {value:g} for now; it was {present[name]:g}")
 
+    async def lay_fence(self, fence: Sequence[FenceItem]) -> None:
+        """Have the vehicle keep a fence besides its own, read back, once its own is kept.
+
+        PX4 keeps to all areas at once. Behind a circle PX4 v1.17 misreads polygons: ours is first.
+        Raises CommandRejected, VehicleError, RecordError, LinkLost.
+        """
+        self._refuse_if_armed()
+        own = await self._link.read_fence()
+        laid = (*fence, *own)
+        _save(self._fence_path, {"old": list(map(asdict, own)), "new": list(map(asdict, laid))})
+        await self._link.write_fence(laid)
+
     async def put_back(self) -> None:
         """Put back what is kept, if anything is. Raises CommandRejected, LinkLost, RecordError."""
-        if self._link.state.hardware is None or not (kept := _load(self._path)):
+        if self._link.state.hardware is not None:
+            await self._put_back_fence()
+            await self._put_back_parameters()
+
+    async def _put_back_fence(self) -> None:
+        if not (kept := _load_fence(self._fence_path)):
+            return
+        self._refuse_if_armed()
+        old, new = kept
+        present = await self._link.read_fence()
+        if are_alike(present, new):
+            await self._link.write_fence(old)
+            if old:
+                self._tell(f"its own fence is back: {len(old)} corners and circles")
+        elif not are_alike(present, old):
+            self._tell("its fence is left as it is: somebody changed it since we did")
+        _remove(self._fence_path)
+
+    async def _put_back_parameters(self) -> None:
+        if not (kept := _load(self._path)):
             return
         self._refuse_if_armed()
         present = await self._link.read_parameters(kept)
@@ -73,21 +106,22 @@ class Changes:
     def last_words(self) -> str:
         """What is left set on the vehicle, as the end of a sentence; nothing where nothing is."""
         try:
-            kept = _load(self._path)
+            kept, fence = _load(self._path), _load_fence(self._fence_path)
         except VehicleError:  # nothing could be changed
             return ""
         except RecordError as exc:
             return f"; {exc}"
-        if not kept:
-            return ""
         left = [
             f"{name}={v['new']:g} is still set, and was {v['old']:g}" for name, v in kept.items()
         ]
+        left += ["the flight's fence is still on it"] if fence else []
+        if not left:
+            return ""
         return f"; {', '.join(left)}: the next flight or preflight of this vehicle puts it back"
 
     def _refuse_if_armed(self) -> None:
         if self._link.state.is_armed:
-            raise CommandRejected("it is armed: its parameters are left as they are")
+            raise CommandRejected("it is armed: its parameters and its fence are left as they are")
 
     @property
     def _path(self) -> Path:
@@ -98,6 +132,10 @@ class Changes:
                 "changed could not be put back after a crash; set it with a ground station"
             )
         return state_folder() / f"{hardware}.json"
+
+    @property
+    def _fence_path(self) -> Path:
+        return self._path.with_suffix(".fence.json")
 
 
 def state_folder() -> Path:
@@ -120,6 +158,21 @@ def _load(path: Path) -> dict[str, dict[str, float]]:
             f"{path} cannot be read: {exc!r}; it holds what parameters of the vehicle were before "
             "they were changed: set them with a ground station, then remove it"
         ) from exc
+
+
+def _load_fence(path: Path) -> tuple[tuple[FenceItem, ...], tuple[FenceItem, ...]] | None:
+    """What the fence was and what it became; None if none is kept. Raises RecordError."""
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        old, new = (tuple(item_of(fields) for fields in kept[key]) for key in ("old", "new"))
+    except FileNotFoundError:
+        return None
+    except (OSError, LookupError, TypeError, ValueError, AttributeError, VehicleError) as exc:
+        raise RecordError(
+            f"{path} cannot be read: {exc!r}; it holds the vehicle's own fence: upload that with a "
+            "ground station, then remove it"
+        ) from exc
+    return old, new
 
 
 def _save(path: Path, kept: Mapping[str, object]) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, Protocol
 
 from dronemon.frames import GeoPoint
 from dronemon.types import GpsFix, Pose, Vector3
+from dronemon.vehicle.fence_items import FenceItem
 
 
 class Mode(StrEnum):
@@ -160,6 +161,12 @@ class VehicleLink(Protocol):
 
     async def write_parameter(self, name: str, value: float) -> None:
         """Set a parameter, and read it back. Raises OptionError for what it cannot be."""
+
+    async def read_fence(self) -> tuple[FenceItem, ...]:
+        """The fence that the vehicle has, empty if it has none."""
+
+    async def write_fence(self, items: Sequence[FenceItem]) -> None:
+        """Replace the vehicle's fence, and read it back."""
 
     async def arm(self) -> None:
         """Start the motors."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -18,6 +18,7 @@ from dronemon.errors import (
     VehicleError,
 )
 from dronemon.types import Pose
+from dronemon.vehicle.fence_items import FenceItem
 from dronemon.vehicle.hearing import Hearing
 from dronemon.vehicle.link import BY_STICKS, Landed, Mode, Setpoint, StatusText, VehicleState
 from dronemon.vehicle.px4 import RUN_CHECKS, Command
@@ -179,6 +180,14 @@ class MavsdkLink:
     async def write_parameter(self, name: str, value: float) -> None:
         """Set a parameter, and read it back."""
         await self._wire.parameters.write(name, value)
+
+    async def read_fence(self) -> tuple[FenceItem, ...]:
+        """The fence that the vehicle has."""
+        return await self._wire.fence.read()
+
+    async def write_fence(self, items: Sequence[FenceItem]) -> None:
+        """Replace the vehicle's fence, and read it back."""
+        await self._wire.fence.write(items)
 
     # Commands
 

@@ -26,6 +26,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import CommandUnconfirmed, LinkLost, LinkTimeout
 from dronemon.mission.addresses import parse_udpin
+from dronemon.vehicle import fence_items
+from dronemon.vehicle.fence_items import FenceItems
 from dronemon.vehicle.neighbours import autopilots, choose
 from dronemon.vehicle.parameters import Parameters
 from dronemon.vehicle.px4 import ANSWERS, AUTOPILOT_COMPONENT, REMOTE_ID_STATUS, Command
@@ -45,7 +47,7 @@ class Wire:
 
     take:       is told each message of the autopilot: its name and fields
     names:      of the messages that are wanted
-    parameters: of the vehicle
+    parameters, fence: of the vehicle
 
     A port that is held for this link is not asked whether it is free.
     Its limits are wall time.
@@ -64,9 +66,10 @@ class Wire:
         self._results: dict[int, int] = {}  # the newest answer by command
         self._url = url
         self._take = take
-        self._names = (*names, "COMMAND_ACK", "PING", "PARAM_VALUE")
+        self._names = (*names, "COMMAND_ACK", "PING", "PARAM_VALUE", *fence_items.MESSAGES)
         self.parameters = Parameters(self.send, self.round_trip)
         self._is_port_held = is_port_held
+        self.fence = FenceItems(self.send)
         self._system_id = system_id
         self._connect_timeout_s = connect_timeout_s
         self._num_acks: dict[int, int] = {}
@@ -177,6 +180,9 @@ class Wire:
                 self._take_ping(fields)
             elif name == "PARAM_VALUE":
                 self.parameters.take(fields)
+            elif name in fence_items.MESSAGES:
+                if _addressee(fields) == self._own:
+                    self.fence.take(name, fields)
             else:
                 self._take(name, fields)
                 if name == "HEARTBEAT":
@@ -200,9 +206,8 @@ class Wire:
                 self._answered.set()
 
     def _take_ping(self, fields: dict[str, Any]) -> None:
-        to = fields.get("target_system"), fields.get("target_component")
         sent_at = self._pings.get(fields.get("time_usec", 0))
-        if to == self._own and sent_at is not None:
+        if _addressee(fields) == self._own and sent_at is not None:
             self._round_trip_s = asyncio.get_running_loop().time() - sent_at
             self._answered.set()
 
@@ -285,6 +290,10 @@ class Wire:
                 while not condition():
                     self._answered.clear()
                     await self._answered.wait()
+
+
+def _addressee(fields: dict[str, Any]) -> tuple[object, object]:
+    return fields.get("target_system"), fields.get("target_component")
 
 
 def _check_port(url: str) -> None:

@@ -97,10 +97,12 @@ class Drawing:
                 self._truth(event, self._area)
 
     def _lay_area(self, event: AreaLaid) -> None:
-        """Keep the area; draw border, roadmap, and the vehicle that is moved over them."""
+        """Keep the area; draw border, fence, roadmap, and the vehicle that is moved over them."""
         log, area = self._rec.log, event.area
         self._area, self._radius_m = area, event.footprint_radius_m
         log("map/area", lines([au_to_map(_SQUARE_AU, area)], GREY, 1.0, order=5), static=True)
+        fence = ned_to_map(np.concatenate([event.fence_ned_m, event.fence_ned_m[:1]]), area)
+        log("map/fence", lines([fence], BLUE, 1.0, order=5), static=True)
         footprint = rings(None, self._radius_m, WHITE, 1.0, order=30)
         log("map/vehicle/footprint", footprint, static=True)
         nose = _ARROW * 0.035 * area.side_m

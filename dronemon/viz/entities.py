@@ -3,7 +3,7 @@
 The map is drawn in metres about the area's centre, north up: x = east, y = -north, since y points
 down in Rerun's 2D views.
 
-    map/area, map/roadmap            static: the unit square, nodes and edges
+    map/area, map/fence, map/roadmap static: the unit square, the fence, nodes and edges
     map/belief                       fog where unsure, each target's colour where it is expected
     map/mean/NAME, map/std/NAME      one target's posterior on the grid
     map/seen/NAME, map/truth/NAME    where the target was seen last; where the simulator has it
@@ -140,8 +140,10 @@ def belief_rgb(mean: FloatArray, std: FloatArray) -> ImageArray:
     return image
 
 
-def blueprint(names: Sequence[str], side_m: float, heading_rad: float) -> rrb.Blueprint:
-    """Lay out the viewer: map and beliefs to the left, picture, plots and events to the right."""
+def blueprint(
+    names: Sequence[str], side_m: float, heading_rad: float, margin_m: float
+) -> rrb.Blueprint:
+    """Lay out the viewer: map, with a margin, and beliefs left; picture, plots and events right."""
     half_m = side_m * (abs(math.cos(heading_rad)) + abs(math.sin(heading_rad))) / 2.0 * 1.06
     beliefs = rrb.Grid(
         *(_belief_view(kind, name, half_m) for kind in ("mean", "std") for name in names),
@@ -162,7 +164,7 @@ def blueprint(names: Sequence[str], side_m: float, heading_rad: float) -> rrb.Bl
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(_map_view(half_m), beliefs, row_shares=[3, 2]),
+            rrb.Vertical(_map_view(half_m + margin_m), beliefs, row_shares=[3, 2]),
             rrb.Vertical(
                 rrb.Spatial2DView(origin="camera", name="Camera"),
                 targets,

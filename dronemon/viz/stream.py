@@ -84,7 +84,8 @@ class FlightView:
             self._file = RecordingFile(self._rrd_path, self._page)
             undo.pop_all()
         names = [target.name for target in mission.targets]
-        layout = blueprint(names, mission.area.side_m, math.radians(mission.area.heading_deg))
+        area, margin_m = mission.area, mission.flight.fence_margin_m
+        layout = blueprint(names, area.side_m, math.radians(area.heading_deg), margin_m)
         self._file.take(recording, layout)
         recording.send_recording_name(mission.name)
         self._drawing = Drawing(recording, mission)

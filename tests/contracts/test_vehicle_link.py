@@ -13,6 +13,7 @@ from simulated_vehicle import free_udp_port
 
 from dronemon.errors import CommandUnconfirmed, ControlTaken, LinkLost, LinkTimeout
 from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
+from dronemon.vehicle.fence_items import polygon_items
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 
 Story = Callable[[VehicleLink], Awaitable[None]]
@@ -66,6 +67,12 @@ def test_a_flight_is_confirmed_step_by_step(with_link):
         assert link.state.home is not None
         assert link.state.origin is not None
         assert not link.state.is_armed
+        assert await link.read_fence() == ()
+        fence = polygon_items([(47.39, 8.5), (47.41, 8.5), (47.40123456, 8.6)])
+        await link.write_fence(fence)
+        assert await link.read_fence() == fence
+        await link.write_fence(())
+        assert await link.read_fence() == ()
         await link.arm()
         assert link.state.is_armed
         down_m = link.pose.position_ned_m[2]

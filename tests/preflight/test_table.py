@@ -9,7 +9,16 @@ import pytest
 
 from dronemon.errors import CameraError
 from dronemon.mission import Mission
-from dronemon.preflight import Facts, Finding, Sight, Verdict, against, judge, mending_options
+from dronemon.preflight import (
+    Facts,
+    Finding,
+    OwnFence,
+    Sight,
+    Verdict,
+    against,
+    judge,
+    mending_options,
+)
 from dronemon.preflight.table import TABLE
 from dronemon.types import GpsFix
 from sim.parameters import TABLE as MOCK
@@ -28,6 +37,7 @@ GOOD = BARE | {"COM_OBL_RC_ACT": 3, "COM_RC_OVERRIDE": 3, "GF_ACTION": 3, "COM_L
 FACTS = Facts(
     parameters=GOOD,
     away_m=0.0,
+    own_fence=OwnFence(num_areas=0, num_against=0, num_near=0),
     has_sticks=True,
     battery=1.0,
     estimate_doubts=(),
@@ -38,6 +48,7 @@ FACTS = Facts(
     needed_bytes=100,
     hold_limit_s=8.0,
 )
+OWN = "vehicle's own fence"
 FENCE, BATTERY = "fence around home", "battery levels"
 STICKS, LINK = "remote control lost", "ground station lost"
 
@@ -93,8 +104,8 @@ def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
         ("height of the return", {"RTL_RETURN_ALT": 60, "GF_MAX_VER_DIST": 55}, NO_GO),
         ("landing after it", {"RTL_LAND_DELAY": -1}, NO_GO),
         ("landing after it", {"RTL_LAND_DELAY": 90}, WARNING),
-        *(("fence crossed", {"GF_ACTION": n}, WARNING) for n in (0, 1, 2, 5)),
-        ("fence crossed", {"GF_ACTION": 4}, NO_GO),
+        *(("fence crossed", {"GF_ACTION": n}, WARNING) for n in (1, 2, 5)),
+        *(("fence crossed", {"GF_ACTION": n}, NO_GO) for n in (0, 4, 6)),
         (FENCE, {"GF_MAX_HOR_DIST": 141}, NO_GO),
         (FENCE, {"GF_MAX_HOR_DIST": 142}, GO),
         (FENCE, {"GF_MAX_VER_DIST": 45}, NO_GO),
@@ -136,6 +147,10 @@ def test_a_set_up_is_judged_and_what_mends_it_mends_it(
         ("GPS", _gps(dilution=2.2), WARNING),
         ("GPS", _gps(dilution=9.9), NO_GO),
         ("GPS", {"gps": None}, WARNING),
+        (OWN, {"own_fence": None}, WARNING),
+        (OWN, {"own_fence": OwnFence(num_areas=2, num_against=0, num_near=0)}, GO),
+        (OWN, {"own_fence": OwnFence(num_areas=2, num_against=0, num_near=1)}, WARNING),
+        (OWN, {"own_fence": OwnFence(num_areas=2, num_against=1, num_near=1)}, NO_GO),
         ("battery", {"battery": None}, WARNING),
         ("battery", {"battery": 0.2}, NO_GO),
         ("battery", {"battery": 0.4}, WARNING),

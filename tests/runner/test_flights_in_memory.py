@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import fake_link
 import numpy as np
 import pytest
 import virtual_time
@@ -42,6 +43,7 @@ from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, 
 from dronemon.runner.flight import DOWN, NOT_STARTED
 from dronemon.vehicle import Mode
 from dronemon.vehicle.changes import state_folder
+from dronemon.vehicle.fence_items import FenceItem, polygon_items
 
 MISSION = """
 name: small
@@ -879,7 +881,68 @@ def test_a_parameter_stays_while_it_is_not_known_whether_the_motors_run(flight):
     assert not flight.fly("silence@12").is_landed
     assert flight.link.vehicle.parameters["COM_FAIL_ACT_T"] == 4.0
     assert "COM_FAIL_ACT_T=4 is still set, and was 5" in flight.record.text("last word")
-    assert len(list(state_folder().iterdir())) == 1
+    kept = [path.name for path in state_folder().iterdir()]
+    assert sorted(kept) == ["fake.fence.json", "fake.json"]
+
+
+def test_the_vehicle_has_the_flights_fence_besides_its_own_until_it_is_down(flight):
+    origin, half_deg = fake_link.ORIGIN, 0.005
+    own = polygon_items(
+        [
+            (origin.latitude_deg + north * half_deg, origin.longitude_deg + east * half_deg)
+            for north, east in ((-1, -1), (-1, 1), (1, 1), (1, -1))
+        ]
+    )
+    flight.on_link = lambda link: setattr(link.vehicle, "fence", own)
+    flown: list[int] = []
+    flight.when("patrol", lambda: flown.append(len(flight.link.vehicle.fence)))
+    assert flight.fly().outcome == "completed"
+    assert flown == [8 + 4]
+    assert flight.link.vehicle.fence == own
+    assert flight.record.texts("its own fence is back: 4 corners and circles") == 1
+    assert list(state_folder().iterdir()) == []
+
+
+def test_a_fence_of_the_vehicle_that_is_in_the_way_is_refused(flight):
+    def lay(link: FakeLink) -> None:
+        here = (fake_link.ORIGIN.latitude_deg, fake_link.ORIGIN.longitude_deg)
+        circle = FenceItem(
+            command=5003, param1=40.0, x=round(here[0] * 1e7), y=round(here[1] * 1e7)
+        )
+        link.vehicle.fence = (circle,)
+
+    flight.on_link = lay
+    result = flight.fly()
+    assert "own fence (1 areas): 1 of them are against the mission's area" in str(result.error)
+    assert (result.last_word, flight.link.commands) == (NOT_STARTED, [])
+
+
+def test_a_fence_that_is_refused_ends_the_flight_on_the_ground(flight):
+    flight.on_link = lambda link: link.vehicle.refused.add("fence")
+    result = flight.fly()
+    assert isinstance(result.error, CommandRejected)
+    assert (result.last_word, flight.link.commands) == (NOT_STARTED, [])
+    assert list(state_folder().iterdir()) == []
+
+
+def test_a_drone_that_is_about_to_leave_its_fence_returns(flight):
+    def move() -> None:
+        flight.link.vehicle.position[0] += 85.0
+        flight.link.num_resets = 1  # so does the path
+
+    flight.when("patrol", lambda: flight.later(3.0, move))
+    result = flight.fly()
+    assert Reason.OUTSIDE in flight.reasons
+    assert Reason.OFF_PATH not in flight.reasons
+    assert "about to leave its fence" in str(result.error)
+    _comes_home(flight, result)
+
+
+def test_a_drone_that_leaves_its_heights_returns_at_once(flight):
+    flight.when("patrol", lambda: setattr(flight.link.vehicle, "height_error_m", 12.0))
+    result = flight.fly()
+    assert Reason.OUTSIDE in flight.reasons
+    _comes_home(flight, result)
 
 
 def test_a_battery_that_is_not_known_is_said_and_time_counts_instead(flight):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 
 import pytest
 import virtual_time
@@ -10,6 +11,7 @@ from fake_link import FakeLink
 
 from dronemon.errors import CommandRejected, RecordError
 from dronemon.vehicle.changes import Changes, state_folder
+from dronemon.vehicle.fence_items import FenceItem, polygon_items
 
 
 @pytest.fixture
@@ -109,6 +111,68 @@ def test_nothing_is_changed_that_could_not_be_put_back(after):
     after(unreadable)
     after(no_disk)
     assert after.vehicle.parameters["GF_ACTION"] == 2.0
+
+
+OWN = (FenceItem(command=5004, param1=12.5, x=474_000_000, y=85_000_000),)
+OURS = polygon_items([(47.39, 8.49), (47.41, 8.49), (47.4, 8.52)])
+
+
+def test_a_fence_is_laid_before_the_vehicles_own_once_that_is_kept(after):
+    after.vehicle.fence = OWN
+
+    async def lay(link: FakeLink, changes: Changes) -> None:
+        write = link.write_fence
+
+        async def look(items: Sequence[FenceItem]) -> None:
+            assert "12.5" in (state_folder() / "fake.fence.json").read_text()
+            await write(items)
+
+        link.write_fence = look
+        await changes.lay_fence(OURS)
+
+    async def put_back(_: FakeLink, changes: Changes) -> None:
+        await changes.put_back()
+        await changes.put_back()
+
+    after(lay)
+    assert after.vehicle.fence == (*OURS, *OWN)
+    assert after(put_back) == ["its own fence is back: 1 corners and circles"]
+    assert after.vehicle.fence == OWN
+    assert list(state_folder().iterdir()) == []
+
+
+def test_a_fence_that_somebody_changed_meanwhile_is_left(after):
+    async def story(link: FakeLink, changes: Changes) -> None:
+        await changes.lay_fence(OURS)
+        link.vehicle.fence = OWN
+        await changes.put_back()
+
+    assert "is left as it is" in after(story)[-1]
+    assert after.vehicle.fence == OWN
+
+
+def test_no_fence_is_laid_or_put_back_while_it_is_armed(after):
+    async def story(link: FakeLink, changes: Changes) -> None:
+        await changes.lay_fence(OURS)
+        await link.arm()
+        for step in (changes.put_back(), changes.lay_fence(OURS)):
+            with pytest.raises(CommandRejected, match="armed"):
+                await step
+
+    after(story)
+    assert after.vehicle.fence == OURS
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"old": []}', '{"old": [{}], "new": []}'])
+def test_a_damaged_file_of_a_fence_is_named(after, text):
+    state_folder().mkdir(parents=True)
+    (state_folder() / "fake.fence.json").write_text(text)
+
+    async def put_back(_: FakeLink, changes: Changes) -> None:
+        with pytest.raises(RecordError, match=r"fake\.fence\.json cannot be read"):
+            await changes.put_back()
+
+    after(put_back)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"GF_ACTION": 3}', '{"GF_ACTION": {"old": "x"}}'])

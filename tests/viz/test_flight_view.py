@@ -82,7 +82,14 @@ def measurement(seen: list[bool]) -> Measurement:
 def area_laid() -> AreaLaid:
     rng = np.random.default_rng(1)
     nodes_au, edges = rng.random((20, 2)), rng.integers(0, 20, (60, 2))
-    return AreaLaid(area=AREA, footprint_radius_m=20.0, nodes_au=nodes_au, edges=edges)
+    fence_ned_m = AREA.au_to_ned(np.array([[-0.1, -0.1], [-0.1, 1.1], [1.1, 1.1], [1.1, -0.1]]))
+    return AreaLaid(
+        area=AREA,
+        footprint_radius_m=20.0,
+        fence_ned_m=fence_ned_m,
+        nodes_au=nodes_au,
+        edges=edges,
+    )
 
 
 def noted(time_s: float | None, kind: str, text: str, level: str = "INFO") -> Noted:
