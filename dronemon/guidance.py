@@ -133,7 +133,10 @@ class Carrot:
         ahead_m = min(rate_m_s * _PREVIEW_S, self.remaining_m)
         soon_m_s = self._speed_after(_PREVIEW_S, self.remaining_m - ahead_m)
         _, then_m_s = self._motion(self._s_m + ahead_m, soon_m_s)
-        north, east = ((b - a) / _PREVIEW_S for a, b in zip(velocity_m_s, then_m_s, strict=True))
+        # A carrot that waits is not on its way round the corner: what would take the vehicle there
+        # would hold it back here, for good.
+        share = pace / _PREVIEW_S
+        north, east = (share * (b - a) for a, b in zip(velocity_m_s, then_m_s, strict=True))
         return *self._bounded(position_m, velocity_m_s, vehicle_m), (north, east)
 
     def _speed_after(self, duration_s: float, remaining_m: float) -> float:

@@ -122,6 +122,23 @@ def keep_bounds(speed_m_s: float, leg_m: float, side_m: float, wind_m_s: float) 
     assert np.percentile(cross_track_m, 95) <= 0.02 * side_m
 
 
+@pytest.mark.parametrize("leg_m", [1.0, 3.81, 5.0, 6.25])
+def test_legs_to_and_fro_that_are_shorter_than_a_turn_are_flown_through(leg_m: float) -> None:
+    vehicle, carrot = set_out(5.0, 0.0)
+    north_m, east_m = carrot.end_m
+    start_s, asked_s, is_there = vehicle.time_s, vehicle.time_s - INTERVAL_S, True
+    while vehicle.time_s < start_s + 20.0:
+        if vehicle.time_s >= asked_s + INTERVAL_S - 1e-6:
+            while carrot.needs_waypoint():
+                is_there = not is_there
+                carrot.extend((north_m + leg_m * is_there, east_m))
+            asked = carrot.advance(vehicle.time_s - asked_s, vehicle.estimate.position[:2])
+            vehicle.take_offboard(at_height(vehicle, *asked))
+            asked_s = vehicle.time_s
+        vehicle.step()
+    assert carrot.travelled_m > 0.8 * 5.0 * 20.0
+
+
 def test_on_a_late_link_that_loses_a_fifth_it_is_slower_and_as_exact() -> None:
     vehicle, carrot = set_out(5.0, 5.0)
     speeds_m_s, cross_track_m = fly_legs(vehicle, carrot, 25.0, loss=0.2, delay_s=0.2)
