@@ -132,5 +132,9 @@ class Drain:
         return max(self._least_per_s, (full - left) / (ended_s - began_s))
 
     def needed(self, effort_s: float) -> float:
-        """The level that an effort takes, and what is not told of a level; all of it at most."""
-        return min(effort_s * self.per_s + _STEP, 1.0)
+        """The level that an effort takes, and what is not told of a level; all of it at most.
+
+        All of it, too, for an effort that is no number.
+        """
+        level = effort_s * self.per_s + _STEP
+        return level if level < 1.0 else 1.0

@@ -65,3 +65,8 @@ def test_wind_costs_on_the_way_against_it_and_time_where_it_is_too_strong_for_cr
     assert efforts_s[1] < efforts_s[0] < efforts_s[2] < efforts_s[3] < efforts_s[4] < math.inf
     assert effort_s(9.9) == math.inf
     assert Drain(ENDURANCE_S).needed(effort_s(9.9)) == 1.0
+
+
+def test_a_parameter_that_cannot_be_read_is_no_reason_to_fly_on():
+    effort_s = effort_home_s(WAY_M, 20.0, {"MPC_LAND_SPEED": math.nan})
+    assert Drain(ENDURANCE_S).needed(effort_s) == 1.0

@@ -51,7 +51,7 @@ class Battery:
             self._time_s = pose.time_s
             roll, pitch, _ = pose.attitude_rad
             effort_s = passed_s * effort_rate(math.cos(roll) * math.cos(pitch))
-            if state.landed is Landed.ON_GROUND:
+            if state.landed is Landed.ON_GROUND and not state.is_armed:
                 self._start()
                 self.level = state.battery
             else:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import virtual_time
-from fake_link import FakeCamera, FakeLink
+from fake_link import ORIGIN, FakeCamera, FakeLink
 from windy_vehicle import WindyVehicle
 
 from dronemon.events import Event, Measured, Noted, Progressed
 from dronemon.mission import load_mission
+from dronemon.mission.schema import Flight
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.roadmap import Roadmap
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission
+from dronemon.runner.battery import Battery
+from dronemon.types import Pose
+from dronemon.vehicle import Landed, VehicleState
 
 CORNERS_AU = tuple(itertools.product((0.02, 0.98), repeat=2))
 RESERVE, ENDURANCE_MIN = 0.15, 10.0
@@ -110,3 +116,46 @@ def test_without_wind_it_returns_no_earlier_than_it_must(tmp_path: Path):
     assert "% needed to get home, 15% to land with" in listener.text("battery")
     told = [e for e in listener.events if isinstance(e, Measured | Progressed)]
     assert max(event.battery_needed for event in told) == pytest.approx(0.15, abs=0.03)
+
+
+class _Link:
+    """Hovers 100 m from home."""
+
+    def __init__(self) -> None:
+        self.state = VehicleState(is_armed=True, landed=Landed.IN_AIR, home=ORIGIN, origin=ORIGIN)
+        self.pose = Pose(
+            time_s=0.0,
+            position_ned_m=(100.0, 0.0, -50.0),
+            velocity_ned_m_s=(0.0, 0.0, 0.0),
+            attitude_rad=(0.0, 0.0, 0.0),
+        )
+
+    def hover(self, follower: Battery, duration_s: float, **said: Any) -> None:
+        self.state = replace(self.state, **said)
+        for _ in range(round(duration_s)):
+            self.pose = replace(self.pose, time_s=self.pose.time_s + 1.0)
+            follower.take()
+
+
+def test_a_level_that_is_told_no_more_is_used_up_until_it_must_return():
+    link = _Link()
+    battery = Battery(link, Flight(endurance_min=10.0))
+    link.hover(battery, 1.0, battery=0.5)
+    link.hover(battery, 60.0, battery=None)
+    assert battery.level == pytest.approx(0.4)
+    assert not battery.is_low
+    assert not battery.is_time_up
+    link.hover(battery, 75.0)
+    assert battery.is_low
+
+
+def test_a_level_that_stands_still_does_not_keep_it_in_the_air():
+    link = _Link()
+    battery = Battery(link, Flight(endurance_min=10.0))
+    link.hover(battery, 380.0, battery=1.0)
+    assert not battery.is_time_up
+    link.hover(battery, 60.0)
+    assert battery.is_time_up
+    assert not battery.is_low
+    link.hover(battery, 1.0, landed=Landed.ON_GROUND, is_armed=False)
+    assert not battery.is_time_up
