@@ -31,11 +31,10 @@ _GRAVITY_M_S2 = 9.80665
 _SETTLE_S = 15.0
 """To turn, to gain and lose speed at each stage, and to be sure of the ground."""
 _LEAST = 0.1
-_LEAST_COS_LEAN = 0.3
 _STEP = 0.01
 """Levels come in whole percents."""
 _WINDOW_S, _SHORTEST_S = 240.0, 60.0
-"""Effort over which the drain is measured: at most, so that a rising wind shows, and at least."""
+"""Time over which the drain is measured: at most, so that a rising wind shows, and at least."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,11 +49,6 @@ class Wind:
 
 
 CALM = Wind()
-
-
-def effort_rate(cos_lean: float) -> float:
-    """Effort per time of a vehicle that leans, from the cosine of the angle."""
-    return math.pow(max(cos_lean, _LEAST_COS_LEAN), -1.5)
 
 
 def effort_home_s(
@@ -81,7 +75,7 @@ def effort_home_s(
 
 def _push_rate(push_m_s2: float) -> float:
     """Effort per time while the lean pushes sideways so much."""
-    return effort_rate(math.cos(math.atan(push_m_s2 / _GRAVITY_M_S2)))
+    return math.pow(math.hypot(1.0, push_m_s2 / _GRAVITY_M_S2), 1.5)
 
 
 def _effort_of_way_s(way_m: Point, p: Mapping[str, float], wind: Wind) -> float:
@@ -103,27 +97,30 @@ def _effort_of_way_s(way_m: Point, p: Mapping[str, float], wind: Wind) -> float:
 
 
 class Drain:
-    """Battery level per effort: as measured of late, but no less than the mission says."""
+    """Battery level per second of flight: as measured of late, but no less than the mission says.
+
+    It is taken for that of an effort, though some of it was leaning, too: not every battery knows.
+    """
 
     def __init__(self, endurance_s: float) -> None:
         self._least_per_s = 1.0 / endurance_s
         self._level: float | None = None
         self._lows: deque[tuple[float, float]] = deque()
 
-    def take(self, effort_s: float, level: float) -> None:
+    def take(self, airborne_s: float, level: float) -> None:
         """Hear a level; only one that is a step lower than all before counts, for it is exact."""
         if self._level is None:
             self._level = level  # somewhere within its step
         if level > self._level - 0.99 * _STEP:
             return
         self._level = level
-        self._lows.append((effort_s, level))
-        while len(self._lows) > 2 and self._lows[1][0] <= effort_s - _WINDOW_S:
+        self._lows.append((airborne_s, level))
+        while len(self._lows) > 2 and self._lows[1][0] <= airborne_s - _WINDOW_S:
             self._lows.popleft()
 
     @property
     def per_s(self) -> float:
-        """Level per second of effort."""
+        """Level per second."""
         if not self._lows:
             return self._least_per_s
         (began_s, full), (ended_s, left) = self._lows[0], self._lows[-1]

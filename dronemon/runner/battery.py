@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Mapping
 
-from dronemon.energy import Drain, Wind, effort_home_s, effort_rate
+from dronemon.energy import Drain, Wind, effort_home_s
 from dronemon.errors import VehicleError
 from dronemon.frames import GeoPoint, geo_to_ned
 from dronemon.guidance import Drag
@@ -39,7 +39,7 @@ class Battery:
 
     def _start(self) -> None:
         """On the ground: a flight begins, maybe with another battery."""
-        self._effort_s = self._airborne_s = 0.0
+        self._airborne_s = 0.0
         self._drain = Drain(self._endurance_s)
 
     def take(self) -> None:
@@ -49,14 +49,11 @@ class Battery:
             pose = self._link.pose
             passed_s = max(pose.time_s - self._time_s, 0.0)
             self._time_s = pose.time_s
-            roll, pitch, _ = pose.attitude_rad
-            effort_s = passed_s * effort_rate(math.cos(roll) * math.cos(pitch))
             if state.landed is Landed.ON_GROUND and not state.is_armed:
                 self._start()
                 self.level = state.battery
             else:
-                self._airborne_s += passed_s
-                self._use(effort_s, state.battery)
+                self._use(passed_s, state.battery)
             self._follow_home(state.home, state.origin)
             (north, east, down), (home_north, home_east, home_down) = (
                 pose.position_ned_m,
@@ -67,13 +64,13 @@ class Battery:
             effort_home = effort_home_s(way_m, home_down - down, self.parameters, wind)
             self.needed = self._drain.needed(effort_home)
 
-    def _use(self, effort_s: float, level: float | None) -> None:
-        self._effort_s += effort_s
+    def _use(self, passed_s: float, level: float | None) -> None:
+        self._airborne_s += passed_s
         if level is not None:
-            self._drain.take(self._effort_s, level)
+            self._drain.take(self._airborne_s, level)
             self.level = level
         elif self.level is not None:
-            self.level = max(self.level - effort_s * self._drain.per_s, 0.0)
+            self.level = max(self.level - passed_s * self._drain.per_s, 0.0)
 
     def _follow_home(self, home: GeoPoint | None, origin: GeoPoint | None) -> None:
         if home is None or origin is None or (home, origin) == self._home:
