@@ -13,15 +13,20 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 import wrong_setups
 from simulated_vehicle import MockVehicle, StartMockVehicle, free_udp_port
 
 from dronemon.vehicle.changes import state_folder
+from dronemon.vehicle.fence_items import FenceItem, are_alike, polygon_items
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 
+T = TypeVar("T")
 PX4 = shlex.split(os.environ.get("DRONEMON_PX4", ""))
 PX4_URL, PX4_FOLLOW = "udpin://127.0.0.1:14540", "udpin://127.0.0.1:14550"
 PROGRAM = [sys.executable, "-m", "dronemon.cli"]
@@ -51,13 +56,30 @@ def _say(*command: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-def _parameter(vehicle: MockVehicle, name: str) -> float:
-    async def read() -> float:
+def _told(vehicle: MockVehicle, ask: Callable[[MavsdkLink], Awaitable[T]]) -> T:
+    async def tell() -> T:
         async with MavsdkLink(vehicle.url) as link:
             await link.wait_ready(60.0)
-            return (await link.read_parameters([name]))[name]
+            return await ask(link)
 
-    return asyncio.run(read())
+    return asyncio.run(tell())
+
+
+def _parameter(vehicle: MockVehicle, name: str) -> float:
+    return _told(vehicle, lambda link: link.read_parameters([name]))[name]
+
+
+async def _lay_own_fence(link: MavsdkLink) -> tuple[FenceItem, ...]:
+    """A circle that one must stay in, and a triangle a long way off that one must not enter."""
+    home = link.state.home
+    assert home is not None
+    corners = [(0.008, 0.0), (0.009, 0.0), (0.008, 0.001)]
+    places = [(home.latitude_deg + a, home.longitude_deg + b) for a, b in corners]
+    exclusion = [replace(item, command=5002) for item in polygon_items(places)]
+    (centre,) = polygon_items([(home.latitude_deg, home.longitude_deg)])
+    fence = (*exclusion, replace(centre, command=5003, param1=600.0))
+    await link.write_fence(fence)
+    return fence
 
 
 @pytest.fixture
@@ -91,6 +113,7 @@ def test_what_was_set_for_a_flight_that_was_killed_is_put_back_at_the_next_start
     followed, tmp_path: Path
 ):
     vehicle, options = followed
+    own = _told(vehicle, _lay_own_fence)
     out = tmp_path / "run"
     command = [*PROGRAM, "fly", *options, "--out", str(out), "--set", "GF_ACTION=3", "--yes"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL) as program:
@@ -100,12 +123,14 @@ def test_what_was_set_for_a_flight_that_was_killed_is_put_back_at_the_next_start
             assert time.monotonic() < deadline
             time.sleep(0.05)
         program.send_signal(signal.SIGKILL)
-    assert len(list(state_folder().iterdir())) == 1
+    assert len(list(state_folder().iterdir())) == 2
     code, output = _say(*PROGRAM, "preflight", *options)  # waits until it has landed by itself
     assert code == 0, output
     assert "GF_ACTION is 2 again, as before it was changed for us" in output
+    assert "its own fence is back: 4 corners and circles" in output
     assert list(state_folder().iterdir()) == []
     assert _parameter(vehicle, "GF_ACTION") == 2.0
+    assert are_alike(_told(vehicle, MavsdkLink.read_fence), own)
 
 
 def _text(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections import deque
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 from in_memory import hover, ready_vehicle, take_off
 
+from dronemon.fence import Fence
+from dronemon.frames import AreaFrame
 from dronemon.guidance import Carrot, Drag, Point
 from sim.autopilot import STEP_S, Autopilot
 from sim.control import TrajectorySetpoint
@@ -145,3 +148,31 @@ def test_on_a_late_link_that_loses_a_fifth_it_is_slower_and_as_exact() -> None:
     assert np.percentile(speeds_m_s, 99) <= 1.1 * 5.0
     assert np.mean(speeds_m_s) >= 0.65 * 5.0
     assert np.percentile(cross_track_m, 95) <= 0.02 * 150.0
+
+
+@pytest.mark.parametrize("speed_m_s", [5.0, 12.0])
+def test_a_gusty_patrol_crosses_no_fence(speed_m_s: float) -> None:
+    """From corner to corner of the area, and over again, in 8 m/s of gusty wind."""
+    vehicle, carrot = set_out(speed_m_s, 8.0)
+    frame = AreaFrame(
+        centre_ned_m=carrot.end_m,
+        ground_down_m=vehicle.estimate.position[2] + 10.0,
+        side_m=100.0,
+        heading_rad=0.3,
+        cruise_speed_m_s=speed_m_s,
+    )
+    fence = Fence.around(frame, [frame.centre_ned_m], altitude_m=10.0, margin_m=10.0)
+    corners = itertools.cycle(frame.au_to_ned(np.array([[0, 0], [1, 0], [1, 1], [0, 1]])))
+    end_s, asked_s = vehicle.time_s + 90.0, vehicle.time_s
+    while vehicle.time_s < end_s:
+        vehicle.step()
+        if vehicle.time_s < asked_s + INTERVAL_S - 1e-6:
+            continue
+        pose = vehicle.body.pose(vehicle.time_s)
+        assert fence.stops_inside(pose)
+        if carrot.needs_waypoint():
+            carrot.extend(tuple(next(corners)))
+        at_m = vehicle.estimate.position[0], vehicle.estimate.position[1]
+        vehicle.take_offboard(at_height(vehicle, *carrot.advance(vehicle.time_s - asked_s, at_m)))
+        asked_s = vehicle.time_s
+    assert carrot.travelled_m > 50.0 * speed_m_s
