@@ -7,6 +7,7 @@ each flight:
              UNCONTROLLED: the motors run and the program does not say so (the simulator knows)
 - folder:    whether the run folder reads and its files are whole
 - lost:      pictures whose observation is missing, beyond those that the case spoils
+- crossings: how often the autopilot said that the fence is crossed, where that is not the fault
 - last line: whether it is true
 
 A real PX4 is flown beside the mock where DRONEMON_PX4 is a command line that runs what follows it
@@ -344,6 +345,9 @@ def _judge(case: Case, out: Path, said: list[str], status: int) -> Result:
     num_taken = len(truth_file.read_text().splitlines()) if truth_file.exists() else 0
     if not case.spoils_pictures:
         result["lost"] = max(num_taken - 1 - num_seen, 0)  # the first is taken on the ground
+    said_by_it = [event["text"] for event in events if event["kind"] == "autopilot"]
+    if "fence@{t}" not in case.faults:
+        result["crossings"] = sum(text.startswith("Geofence:") for text in said_by_it)
     is_left, is_landed = FIRST_WORDS in last, summary.get("is_landed", False)
     was_armed = "armed" in {event["kind"] for event in events}
     if status == -signal.SIGKILL and "killed" in case.ends:
@@ -378,7 +382,8 @@ def is_bad(result: Result) -> bool:
     """Whether a flight is against what is promised."""
     allowed = ("landed", "not flown", *CASES[result["case"]].ends)
     is_whole = result["folder"] == "whole" and result["lost"] <= 1
-    return result["end"] not in allowed or not is_whole or not result["is_true"]
+    is_right = is_whole and result["is_true"] and not result.get("crossings")
+    return result["end"] not in allowed or not is_right
 
 
 def table(results: list[Result]) -> str:
@@ -391,6 +396,7 @@ def table(results: list[Result]) -> str:
         f"uncontrolled ends {sum(r['end'] == 'UNCONTROLLED' for r in results)}, "
         f"folders not whole {sum(r['folder'] != 'whole' for r in results)}, observations lost "
         f"beyond the picture in flight {sum(max(r['lost'] - 1, 0) for r in results)}, "
+        f"fence crossings {sum(r.get('crossings', 0) for r in results)}, "
         f"last lines not true {sum(not r['is_true'] for r in results)}.\n",
         "| fault | moment | " + " | ".join(vehicles) + " |",
         "|---|---|" + "---|" * len(vehicles),
