@@ -1,6 +1,6 @@
 """Whatever fails in flight, the drone comes home: over MAVSDK and UDP, with the simulator.
 
-`test_flights_in_memory` flies the same, and more, in every `make test`.
+The flights in memory beside this are the same, and more, in every `make test`.
 """
 
 from __future__ import annotations

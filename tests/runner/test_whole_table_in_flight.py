@@ -1,0 +1,39 @@
+"""Every row of the guard's table is flown by the whole runner."""
+
+from __future__ import annotations
+
+import inspect
+from functools import partial
+
+import test_camera_in_flight
+import test_flights_in_memory
+import test_guidance_in_flight
+import test_pilot_in_flight
+import test_set_up_in_flight
+from flights import flown, hangs
+from test_guidance_in_flight import test_a_bad_planner_brings_the_drone_home as bad_planner
+
+from dronemon.guard import TABLE, Reason
+
+MODULES = (
+    test_flights_in_memory,
+    test_camera_in_flight,
+    test_guidance_in_flight,
+    test_pilot_in_flight,
+    test_set_up_in_flight,
+)
+
+
+def test_every_row_of_the_table_is_flown(prepare):
+    """What the tests before this one have flown already is not flown again."""
+    late = partial(bad_planner, answer=hangs, words="no waypoint", reason=Reason.PLANNER_LATE)
+    tests = [
+        test
+        for module in MODULES
+        for name, test in vars(module).items()
+        if name.startswith("test_") and list(inspect.signature(test).parameters) == ["flight"]
+    ]
+    for fly in [late, *tests]:
+        if len(flown) < len(TABLE):
+            fly(prepare())
+    assert [row for number, row in enumerate(TABLE) if number not in flown] == []
