@@ -125,7 +125,7 @@ CASES = {
     "setpoints ignored 3 s": Case(("ignore@{t}+3",)),
     "commands refused 10 s": Case(("reject@{t}+10",)),
     "pilot 10 s": Case(("pilot@{t}+10",), ends=("pilot",)),
-    "battery": Case(("battery=0.2@{t}",)),
+    "battery": Case(("battery=0.16@{t}",)),
     "battery critical": Case(("battery=0.06@{t}",)),
     "GPS lost": Case(("gps@{t}",)),
     "GPS lost 12 s": Case(("gps@{t}+12",)),
