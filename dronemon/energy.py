@@ -28,8 +28,8 @@ RETURN_PARAMETERS: Mapping[str, float] = MappingProxyType(
 )
 """What decides how PX4 v1.17 returns, and a multicopter's values as they come."""
 _GRAVITY_M_S2 = 9.80665
-_SETTLE_S = 15.0
-"""To turn, to gain and lose speed at each stage, and to be sure of the ground."""
+_SETTLE_S = 20.0
+"""To turn, to gain and lose speed at each stage, and to be sure of the ground: as PX4 takes."""
 _LEAST = 0.1
 _STEP = 0.01
 """Levels come in whole percents."""

@@ -47,7 +47,7 @@ def test_a_drain_that_rises_shows_within_minutes():
 def test_the_way_home_is_climbed_flown_and_descended():
     p = RETURN_PARAMETERS
     effort_s = effort_home_s(WAY_M, 20.0, {})
-    assert effort_s == pytest.approx(10.0 / 3.0 + 10.0 + 20.0 / 1.5 + 10.0 / 0.7 + 15.0)
+    assert effort_s == pytest.approx(10.0 / 3.0 + 10.0 + 20.0 / 1.5 + 10.0 / 0.7 + 20.0)
     assert effort_home_s(WAY_M, 50.0, {}) > effort_s
     assert effort_home_s(WAY_M, 20.0, {"RTL_LAND_DELAY": 20.0}) == pytest.approx(effort_s + 20.0)
     assert effort_home_s(WAY_M, 20.0, {"MPC_XY_CRUISE": 10.0}) == pytest.approx(effort_s - 5.0)
