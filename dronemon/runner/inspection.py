@@ -184,7 +184,7 @@ async def inspect_vehicle(setup: FlightSetup, tell: Callable[[str], None]) -> tu
             except CameraError as exc:
                 sight = exc
             frame = None
-            if link.state.home and link.state.origin:
+            if link.state.home and link.state.origin and not unready:
                 frame = lay_area(mission, link.state, link.pose.position_ned_m[2])
             return await find(setup, sight, frame=frame, unready=unready, detector=detector)
     finally:
