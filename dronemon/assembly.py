@@ -32,6 +32,7 @@ from dronemon.runner import (
     mission_kernel,
     rehearse,
 )
+from dronemon.runner.history import read_history, read_newest
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, read_truth, simulator
 from dronemon.terminal import FlightDisplay, console, print_error
@@ -52,11 +53,13 @@ class Request:
     follow:   second MAVLink URL of a real vehicle, for simulated animals and camera to follow it
     settings: parameters of the vehicle meanwhile, by name
     out:      the run folder; a new one if None
+    resume:   the run folder of a flight that is to go on, instead
     """
 
     follow: str | None = None
     settings: Mapping[str, float] = field(default_factory=dict)
     out: Path | None = None
+    resume: Path | None = None
 
 
 async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightResult, Summary]:
@@ -66,7 +69,7 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
     """
     mission = file.mission
     planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
-    with RunRecorder.create(mission, out=request.out) as recorder:
+    with _recorder(mission, request) as recorder:
         try:
             console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
             console.print("getting ready (the first time code is compiled, for about 15 s)")
@@ -97,6 +100,15 @@ def _failed_after(result: FlightResult, exc: Exception) -> FlightResult:
     error = exc if isinstance(exc, DronemonError) else DronemonError(repr(exc))
     print_error(f"after the flight: {error}")
     return replace(result, error=result.error or error)
+
+
+def _recorder(mission: Mission, request: Request) -> RunRecorder:
+    """The record, of a new run or of one that goes on."""
+    if request.resume is None:
+        return RunRecorder.create(mission, out=request.out)
+    folder = RunFolder.open(request.resume)
+    read_newest(folder)  # it can go on
+    return RunRecorder.resume(folder, mission)
 
 
 def _make_threads() -> None:
@@ -150,12 +162,13 @@ async def _open(
     detector, interrupts = make_detector(mission), _interrupts()
     _make_threads()
     rehearsal = rehearse(mission, detector, planner, interrupts)
-    sim = await _start(mission, folder, stack, request.follow, rehearsal)
-    view = stack.enter_context(FlightView(folder.rrd_path, mission))
+    sim = await _start(mission, folder, stack, request, rehearsal)
+    view = stack.enter_context(FlightView(folder.new_rrd_path(), mission))
     if view.url:
         console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
     display = stack.enter_context(FlightDisplay(console))
     link = await stack.enter_async_context(_link(mission, sim))
+    priors_au = _priors(mission, sim)
     setup = _equip(
         file,
         sim,
@@ -167,6 +180,7 @@ async def _open(
         interrupts=interrupts,
         settings=request.settings,
         folder=folder.path,
+        history=read_history(folder, mission, priors_au) if request.resume else None,
     )
     return setup, sim
 
@@ -243,16 +257,18 @@ async def _start(
     mission: Mission,
     folder: RunFolder,
     stack: contextlib.AsyncExitStack,
-    follow: str | None,
+    request: Request,
     rehearsal: Coroutine[Any, Any, None],
 ) -> Simulator | None:
     """Rehearse while the simulator, where there is one, starts."""
     sim: Simulator | None = None
+    newest = read_newest(folder) if request.resume else None
     try:
         async with asyncio.TaskGroup() as group:
             group.create_task(rehearsal, name="rehearsal")
-            if mission.vehicle.is_mock or follow:
-                sim = await stack.enter_async_context(simulator(folder.path, follow))
+            if mission.vehicle.is_mock or request.follow:
+                simulated = simulator(folder.path, request.follow, newest)
+                sim = await stack.enter_async_context(simulated)
     except BaseExceptionGroup as group_error:
         # The first failure cancelled the other.
         raise group_error.exceptions[0] from None

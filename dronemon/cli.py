@@ -78,6 +78,14 @@ LiveView = Annotated[
 RunFolder = Annotated[
     Path | None, typer.Option(help="Run folder; a new one under runs/ if absent.")
 ]
+Resume = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="RUN",
+        help="Go on with a run whose program ended, in the air (in Hold, or on the way home) or on "
+        "the ground.",
+    ),
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
@@ -96,6 +104,15 @@ _OVERRIDES = {
     "view": ("view", "live"),
 }
 """Parameters of `fly`, `check` and `preflight` -> the key of a mission that each stands for."""
+_UNCHANGED = {
+    "file": "the mission",
+    "mission": "--mission",
+    "planner": "--planner",
+    "horizon_au": "--horizon-au",
+    "seed": "--seed",
+    "out": "--out",
+}
+"""Parameters of `fly` that a flight which goes on does not take."""
 
 
 def main() -> None:
@@ -130,18 +147,19 @@ def fly_command(
     seed: Seed = None,
     view: LiveView = None,
     out: RunFolder = None,
+    resume: Resume = None,
     settings: Settings = None,
     yes: Unasked = False,
 ) -> None:
     """Fly a mission: take off, patrol, come home, land. Ctrl-C returns; twice lands now."""
-    checked = _checked(context)
+    checked = _resumed(context) if resume else _checked(context)
     confirmed = _confirmed(settings or (), yes)
     import asyncio
 
     from dronemon.assembly import Request, assemble_and_fly
     from dronemon.runner.summary import facts
 
-    request = Request(follow=follow, settings=confirmed, out=out)
+    request = Request(follow=follow, settings=confirmed, out=out, resume=resume)
     result, summary = asyncio.run(assemble_and_fly(checked, request))
     console.print(facts_table(checked.mission.name, facts(summary)))
     (console.print if result.is_landed else print_error)(result.last_word)
@@ -218,7 +236,20 @@ def check(
     console.print(facts_table(f"{checked.path}: can be flown", _facts(checked.mission)))
 
 
-def _checked(context: typer.Context) -> MissionFile:
+def _resumed(context: typer.Context) -> MissionFile:
+    """The mission of a run that goes on: as it was flown, but for how the vehicle is reached."""
+    from dronemon.recorder import MISSION_FILE
+
+    given = context.params
+    for name, shown in _UNCHANGED.items():
+        if given[name] is not None:
+            raise OptionError(f"--resume goes on as the run began: leave {shown} away")
+    if not (given["resume"] / MISSION_FILE).is_file():
+        raise OptionError(f"--resume {given['resume']}: no run folder: it has no {MISSION_FILE}")
+    return _checked(context, str(given["resume"] / MISSION_FILE))
+
+
+def _checked(context: typer.Context, mission: str | None = None) -> MissionFile:
     """The mission that a command was given, with its options; doubts are told on stderr."""
     from dronemon.feasibility import doubts, load_checked
 
@@ -226,6 +257,7 @@ def _checked(context: typer.Context) -> MissionFile:
     names = [given[key] for key in ("file", "mission") if given[key] is not None]
     if len(names) > 1:
         raise OptionError(f"the mission is given twice: {names[0]} and --mission; leave one")
+    names += [mission] if mission else []
     overrides = {
         key: (f"--{name.replace('_', '-')}", given[name])
         for name, key in _OVERRIDES.items()

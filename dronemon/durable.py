@@ -17,14 +17,15 @@ SILENT_DISK_S = 10.0
 
 
 class LineWriter:
-    """Adds lines to new files, each synced, in a thread of its own: a disk may take its time.
+    """Adds lines to files, each synced, in a thread of its own: a disk may take its time.
 
+    A last line that a crash has cut short is taken away first.
     num_lines: handed over; num_lost: could not be written whole, and were taken back.
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
         self.num_lines = self.num_lost = 0
-        self._files = {path: path.open("xb", buffering=0) for path in paths}
+        self._files = {path: _open_whole(path) for path in paths}
         self._queue = SimpleQueue[tuple[Path, bytes] | threading.Event | None]()
         self._failure: OSError | None = None
         self._busy_since: float | None = None
@@ -72,6 +73,14 @@ class LineWriter:
             self._busy_since = None
         for file in self._files.values():
             file.close()
+
+
+def _open_whole(path: Path) -> FileIO:
+    """Open a file of lines, new or not, to add whole ones."""
+    file = path.open("ab", buffering=0)
+    whole = path.read_bytes().rpartition(b"\n")
+    file.truncate(len(whole[0]) + len(whole[1]))
+    return file
 
 
 def _append(file: FileIO, line: bytes) -> None:

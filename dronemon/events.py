@@ -91,6 +91,25 @@ class Pictured(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """How the patrol was flown until a picture: all of it, and what is new since the one before.
+
+    pictured_m:    way flown until the picture was taken
+    flown_m:       way flown until it was looked at, in duration_s
+    pictures_due:  pictures due until then
+    speeds_m_s:    over ground, at each pose since the measurement before
+    cross_track_m: distance from the path, at each setpoint since then
+    """
+
+    pictured_m: float
+    flown_m: float
+    duration_s: float
+    pictures_due: int
+    speeds_m_s: Sequence[float]
+    cross_track_m: Sequence[float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Measured(Event):
     """What the sensor said about all targets.
 
@@ -102,7 +121,7 @@ class Measured(Event):
     score: FloatArray
     battery: float | None = None
     battery_needed: float = 0.0
-    cross_track_m: float | None
+    stretch: Stretch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -63,7 +63,8 @@ class Reason(StrEnum):
     TAKEN = "the pilot flies"
     NOT_OURS = (
         "the vehicle is armed, or not on the ground: others fly it, or a flight before this one "
-        "did not end; nothing was commanded; land and disarm it first"
+        "did not end; nothing was commanded; land and disarm it first, or in Hold go on with that "
+        "flight: --resume RUN"
     )
     FAILED = "the vehicle, or what it is flown with, failed"
     DISARMED = "the vehicle disarmed during the patrol; see what it says"
@@ -113,6 +114,7 @@ class Situation:
     """All that the table looks at.
 
     before: the state that the pilot or a failsafe broke into.
+    may_attach: whether it flies as the flight that goes on may have left it.
     is_sure: whether two heartbeats in a row, none of them older than our last request to arm, say
     what `is_armed` says; is_offboard needs two as well.
     is_position_good: whether there is an absolute position.
@@ -130,6 +132,7 @@ class Situation:
     before: State
     setback: Setback = Setback.NONE
     is_armed: bool
+    may_attach: bool = False
     is_sure: bool = True
     is_on_ground: bool = False
     is_on_ground_long: bool = False
@@ -224,7 +227,7 @@ TABLE = (
         State.ENDED, Action.END, Reason.FAILED),
     Row(_PREPARING, lambda s: s.times_interrupted >= 1,
         State.ENDED, Action.END, Reason.INTERRUPTED),
-    Row(_PREPARING, lambda s: s.is_armed or not s.is_on_ground,
+    Row(_PREPARING, lambda s: (s.is_armed or not s.is_on_ground) and not s.may_attach,
         State.ENDED, Action.END, Reason.NOT_OURS),
 
     # The mission, until something ends it.

@@ -135,7 +135,7 @@ class Carrot:
         _, then_m_s = self._motion(self._s_m + ahead_m, soon_m_s)
         # A carrot that waits is not on its way round the corner: what would take the vehicle there
         # would hold it back here, for good.
-        share = pace / _PREVIEW_S
+        share = min(2.0 * pace, 1.0) / _PREVIEW_S
         north, east = (share * (b - a) for a, b in zip(velocity_m_s, then_m_s, strict=True))
         return *self._bounded(position_m, velocity_m_s, vehicle_m), (north, east)
 

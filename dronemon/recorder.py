@@ -4,17 +4,19 @@
     observations.jsonl   one line per measurement
     decisions.jsonl      one line per waypoint chosen
     events.jsonl         one line per event: armed, mode changes, warnings, failures
-    flight.rrd           pictures, beliefs and time series for the Rerun viewer (written by `viz`)
+    flight.rrd           pictures, beliefs and time series for the Rerun viewer (written by `viz`);
+                         flight-2.rrd and so on: after a resume
     summary.json         `"outcome": "in flight"` from the start, replaced as a whole at the end
 
 Each line is one write and one fsync (0.2 ms median on a solid-state disk, half a second on one that
 is busy), in a thread of its own so that no setpoint waits. A line that cannot be written whole is
-taken back.
+taken back. While a program flies a run it holds a lock on mission.yaml.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import itertools
 import json
@@ -58,11 +60,19 @@ class RunRecorder:
     drone home; `lost_lines` counts them.
     """
 
-    def __init__(self, folder: RunFolder, names: Sequence[str], *, is_new: bool) -> None:
+    def __init__(
+        self, folder: RunFolder, names: Sequence[str], *, is_new: bool, head: Mapping[str, object]
+    ) -> None:
         self.folder = folder
         self._is_new = is_new
         self._names = tuple(names)
-        self._started = _stamp("seconds")
+        self._head = {"started": _stamp("seconds"), "targets": self._names, **head}
+        self._lock = (folder.path / MISSION_FILE).open("rb")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as exc:
+            self._lock.close()
+            raise RecordError(f"{folder.path} is being flown by another program") from exc
         self._lines = LineWriter(folder.path / name for name in LINE_FILES)
 
     @classmethod
@@ -85,12 +95,31 @@ class RunRecorder:
             _check_space(path, needed_bytes)
             write_new(path / MISSION_FILE, _as_flown(mission))
             names = [target.name for target in mission.targets]
-            recorder = cls(RunFolder(path=path), names, is_new=is_new)
+            recorder = cls(RunFolder(path=path), names, is_new=is_new, head={})
             recorder._write_summary({"outcome": IN_FLIGHT})
         except OSError as exc:
             raise RecordError(
                 f"cannot make the run folder {exc.filename or out or root}: {exc.strerror};"
                 " choose another one with --out"
+            ) from exc
+        return recorder
+
+    @classmethod
+    def resume(cls, folder: RunFolder, mission: Mission) -> RunRecorder:
+        """Go on with a run that has ended, or whose program has. Raises RecordError."""
+        before = folder.summary()
+        head = {
+            "started": before["started"],
+            "resumed": [*before.get("resumed", ()), _stamp("seconds")],
+        }
+        names = [target.name for target in mission.targets]
+        try:
+            _check_space(folder.path, NEEDED_BYTES)
+            recorder = cls(folder, names, is_new=False, head=head)
+            recorder._write_summary({"outcome": IN_FLIGHT})
+        except OSError as exc:
+            raise RecordError(
+                f"cannot write {exc.filename or folder.path}: {exc.strerror}"
             ) from exc
         return recorder
 
@@ -122,6 +151,7 @@ class RunRecorder:
             "agent_au": measurement.agent_au,
             "battery": event.battery,
             "battery_needed": event.battery_needed,
+            "stretch": asdict(event.stretch),
             "targets": {
                 name: {"seen": seen, "position_au": position if seen else None, "score": confidence}
                 for name, seen, position, confidence in zip(
@@ -138,7 +168,7 @@ class RunRecorder:
     @property
     def is_empty(self) -> bool:
         """Whether there was nothing to record."""
-        return not self._lines.num_lines
+        return not self._lines.num_lines and "resumed" not in self._head
 
     def flush(self) -> None:
         """Wait until all lines so far are on disk. Raises RecordError if one is not."""
@@ -165,7 +195,7 @@ class RunRecorder:
         try:
             files = {
                 name: _fingerprint(self.folder.path / name)
-                for name in RUN_FILES
+                for name in (*RUN_FILES, *self.folder.more_recordings())
                 if name != SUMMARY_FILE and (self.folder.path / name).exists()
             }
             head = {"outcome": outcome, "ended": _stamp("seconds")}
@@ -180,6 +210,7 @@ class RunRecorder:
     def close(self) -> None:
         """Close all files; the folder stays as it is."""
         self._lines.close()
+        self._lock.close()
 
     def _append(self, name: str, record: Mapping[str, object]) -> None:
         self._lines.add(self.folder.path / name, _json_line(record))
@@ -195,8 +226,8 @@ class RunRecorder:
             ) from exc
 
     def _write_summary(self, summary: Mapping[str, object]) -> None:
-        head = {"started": self._started, "targets": self._names}
-        text = json.dumps(json_value({**head, **summary}), indent=2, ensure_ascii=False) + "\n"
+        whole = json_value({**self._head, **summary})
+        text = json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
         replace_text(self.folder.path / SUMMARY_FILE, text)
 
 
@@ -217,6 +248,25 @@ class RunFolder:
     def rrd_path(self) -> Path:
         """Where the Rerun recording is."""
         return self.path / RRD_FILE
+
+    def more_recordings(self) -> list[str]:
+        """Names of the recordings after each resume."""
+        return sorted(file.name for file in self.path.glob("flight-*.rrd"))
+
+    def new_rrd_path(self) -> Path:
+        """Where the next Rerun recording goes."""
+        if not self.rrd_path.exists():
+            return self.rrd_path
+        return self.path / f"flight-{len(self.more_recordings()) + 2}.rrd"
+
+    def is_being_flown(self) -> bool:
+        """Whether a program flies this run now."""
+        with (self.path / MISSION_FILE).open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+        return False
 
     def mission_text(self) -> str:
         """Read the mission as flown."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from dronemon.errors import VehicleError
 from dronemon.recorder import MISSION_FILE, SIMULATOR_LOG, TRUTH_FILE
+from dronemon.runner.history import Newest
 from dronemon.types import FloatArray
 
 START_LIMIT_S = 30.0
@@ -45,18 +46,26 @@ class Simulator:
 
 
 @contextlib.asynccontextmanager
-async def simulator(folder: Path, follow: str | None) -> AsyncIterator[Simulator]:
+async def simulator(
+    folder: Path, follow: str | None, newest: Newest | None = None
+) -> AsyncIterator[Simulator]:
     """Run `python -m sim` on free loopback ports while the body runs.
 
     folder: of the run, with the mission; the simulator's log and truth go there
     follow: MAVLink URL of a vehicle whose pose and clock the simulated camera follows, instead of
-    flying one. Raises VehicleError if it does not start or ends early.
+    flying one
+    newest: of a run that goes on: clock and animals go on from there
+    Raises VehicleError if it does not start or ends early.
     """
     log = folder / SIMULATOR_LOG
     # -P: a `sim` that happens to lie in the current folder is not ours.
     files = [str(folder / MISSION_FILE), "--truth", str(folder / TRUTH_FILE)]
-    with held_udp_port() as port, log.open("wb") as log_file:
+    with held_udp_port() as port, log.open("ab") as log_file:
         where = ["--follow", follow] if follow else ["--mavlink-out", f"127.0.0.1:{port}"]
+        if newest is not None and newest.start_s is not None:
+            where += ["--walked", f"{newest.now_s() - newest.start_s:.3f}"]
+        if newest is not None and not follow:
+            where += ["--clock", f"{newest.now_s():.3f}"]
         process = await asyncio.create_subprocess_exec(
             sys.executable,
             *("-P", "-m", "sim", *files, *where, "--parent"),

@@ -63,7 +63,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
-    world = World(mission)
+    world = World(mission, options.walked)
     model, seed = mission.camera.model, mission.simulation.seed
     async with contextlib.AsyncExitStack() as stack:
         simulated: Follower | MockFlight
@@ -72,7 +72,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
             simulated = Follower(world, options.follow, (*listed, *options.fault))
             await stack.enter_async_context(simulated)
         else:
-            simulated = MockFlight(mission, world, tuple(options.fault))
+            simulated = MockFlight(mission, world, tuple(options.fault), options.clock)
             await simulated.open_links(options.mavlink_out, options.signing_key)
             stack.callback(simulated.close_links)
         camera = CameraServer(model, seed, simulated.scene, truth.write, simulated.faults.active)
@@ -130,10 +130,11 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     if options.follow is None and not options.mavlink_out:
         parser.error("nobody would hear the autopilot: give --mavlink-out or --follow")
     if options.follow is not None and (
-        options.mavlink_out or options.speed_up or options.signing_key
+        options.mavlink_out or options.speed_up or options.signing_key or options.clock
     ):
         parser.error(
-            "--follow has no autopilot: --mavlink-out, --speed-up, --signing-key do not apply"
+            "--follow has no autopilot: --mavlink-out, --speed-up, --signing-key, --clock do not "
+            "apply"
         )
     try:
         options.fault = [_parser_of_faults(options)(text) for text in options.fault]
@@ -174,6 +175,12 @@ def _parser() -> argparse.ArgumentParser:
         type=_checked(_signing_key),
         metavar="FILE",
         help="32 bytes; sign what is sent and hear only what is signed (MAVLink 2)",
+    )
+    parser.add_argument(
+        "--clock", type=_seconds, default=0.0, help="vehicle time in s at which it begins"
+    )
+    parser.add_argument(
+        "--walked", type=_seconds, default=0.0, help="for how long in s the animals have walked"
     )
     parser.add_argument("--parent", action="store_true", help="end when stdin closes")
     return parser
@@ -216,6 +223,16 @@ def _signing_key(text: str) -> bytes:
     if len(key) != _KEY_BYTES:
         raise ValueError(f"{text} has {len(key)} bytes; a key has {_KEY_BYTES}")
     return key
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds")
+    return value
 
 
 def _speed_up(text: str) -> float:

@@ -176,6 +176,11 @@ class Autopilot:
             self.navigator.hold_at(target, yaw_rad, speed_m_s)
         return True
 
+    def set_clock(self, time_s: float) -> None:
+        """Have it be so long since boot."""
+        self._num_steps = round(time_s / STEP_S)
+        self.time_s = self._num_steps * STEP_S
+
     def step(self) -> None:
         """One step of the vehicle's time."""
         self._num_steps += 1

@@ -43,9 +43,16 @@ class MockFlight:
     """A mission's mock vehicle in its world.
 
     faults: all there are, the mission's included
+    clock_s: vehicle time at which it begins
     """
 
-    def __init__(self, mission: Mission, world: World, faults: tuple[Fault, ...] = ()) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        world: World,
+        faults: tuple[Fault, ...] = (),
+        clock_s: float = 0.0,
+    ) -> None:
         simulation = mission.simulation
         away_m = -np.asarray(HOME_NED_M, dtype=np.float64)
         origin: GeoPoint = ned_to_geo(away_m, home_place(mission))
@@ -59,6 +66,7 @@ class MockFlight:
             noise_m=simulation.position_noise_m,
             rng=_stream(mission, "estimate"),
         )
+        self.autopilot.set_clock(clock_s)
         self._world = world
         self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
         self._links: list[MavlinkLink] = []

@@ -29,9 +29,9 @@ AIRBORNE_M = 2.0
 class World:
     """Where the targets of a mission are at any time since the first picture in the air."""
 
-    def __init__(self, mission: Mission) -> None:
+    def __init__(self, mission: Mission, walked_s: float = 0.0) -> None:
         self._mission = mission
-        self._walking_s = 0.0
+        self._walking_s = walked_s
         self._pictured_s: float | None = None
         self._paths = Instance.draw(mission.simulation.seed, len(mission.targets)).paths
 
@@ -94,7 +94,7 @@ def _area_centre(mission: Mission, altitude_m: float) -> GeoPoint | None:
 
 
 class TruthFile:
-    """A line of JSON for each picture: where everything really was.
+    """A line of JSON for each picture, after those that are there: where everything really was.
 
     Without a path it writes nothing.
     """
@@ -103,7 +103,7 @@ class TruthFile:
         self.path = path
 
     def __enter__(self) -> Self:
-        self._file = (self.path or Path(os.devnull)).open("w", encoding="utf-8")
+        self._file = (self.path or Path(os.devnull)).open("a", encoding="utf-8")
         return self
 
     def __exit__(self, *exc: object) -> None:

@@ -41,6 +41,7 @@ MISSION_FACTS = (
     *(
         "is_estimate_silent",
         "is_outside",
+        "may_attach",
         "is_off_path",
         "is_stuck",
         "is_blind",
@@ -131,7 +132,8 @@ def test_on_the_ground_a_vehicle_of_others_is_not_touched():
     for situation, advice in _advices():
         if situation.state is State.PREPARING:
             assert advice.action in {Action.GO_ON, Action.END}
-            if situation.is_armed or not situation.is_on_ground:
+            is_others = situation.is_armed or not situation.is_on_ground
+            if is_others and not situation.may_attach:
                 assert advice.action is Action.END
 
 

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import yaml
 
 from dronemon.errors import RecordError
-from dronemon.events import Decided, Measured, Noted
+from dronemon.events import Decided, Measured, Noted, Stretch
 from dronemon.mission import Mission, load_mission
 from dronemon.mission.schema import Target
 from dronemon.recorder import MISSION_FILE, RUN_FILES, RunFolder, RunRecorder
@@ -21,6 +22,15 @@ NAMES = ("Bella", "Zuri")
 MISSION = Mission(
     name="Two animals!",
     targets=(Target(name="Bella", appearance="cow"), Target(name="Zuri", appearance="zebra")),
+)
+
+STRETCH = Stretch(
+    pictured_m=10.0,
+    flown_m=10.5,
+    duration_s=2.0,
+    pictures_due=1,
+    speeds_m_s=[5.0],
+    cross_track_m=[],
 )
 
 
@@ -51,7 +61,7 @@ def record_all(run: RunRecorder) -> None:
             score=np.array([0.9, np.nan]),
             battery=0.5,
             battery_needed=0.1,
-            cross_track_m=None,
+            stretch=STRETCH,
         )
     )
     run.take(
@@ -81,6 +91,7 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
             "agent_au": [0.25, 0.5],
             "battery": 0.5,
             "battery_needed": 0.1,
+            "stretch": asdict(STRETCH),
             "targets": {
                 "Bella": {"seen": True, "position_au": [0.3, 0.55], "score": 0.9},
                 "Zuri": {"seen": False, "position_au": None, "score": None},

@@ -42,6 +42,10 @@ class Battery:
         self._airborne_s = 0.0
         self._drain = Drain(self._endurance_s)
 
+    def go_on(self, airborne_s: float) -> None:
+        """It has been in the air for so long before it was followed."""
+        self._airborne_s += airborne_s
+
     def take(self) -> None:
         """Follow the newest state and pose, if there is one."""
         state = self._link.state

@@ -15,7 +15,7 @@ from dronemon.energy import RETURN_PARAMETERS
 from dronemon.errors import DronemonError, PlannerError, RecordError, VehicleError
 from dronemon.events import AreaLaid, EventStream, Progressed
 from dronemon.fence import Fence
-from dronemon.frames import AreaFrame
+from dronemon.frames import AreaFrame, ned_to_geo
 from dronemon.guard import State
 from dronemon.mission.checks import battery_problem
 from dronemon.preflight import Sight, Verdict, against
@@ -29,7 +29,7 @@ from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadm
 from dronemon.runner.supervisor import Supervisor
 from dronemon.runner.tally import Tally
 from dronemon.types import Vector3
-from dronemon.vehicle import Mode
+from dronemon.vehicle import Landed, Mode
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import polygon_items
 
@@ -103,11 +103,13 @@ class _Flight:
             setup.interrupts,
             progress=self._progress,
             battery=self._battery,
+            is_resumed=setup.history is not None,
             planner_name=setup.planner.name,
         )
         self._changes = Changes(setup.link, partial(self._events.note, "parameters"))
         self._patrol: Patrol | None = None
         self._rest: asyncio.Task[None] | None = None
+        self._is_attached = False  # to a vehicle in the air
         self._home_ned_m: Vector3 | None = None  # where it was armed: PX4 moves home at landing
 
     async def run(self) -> FlightResult:
@@ -155,16 +157,16 @@ class _Flight:
             setup, mission, link = self._setup, self._mission, self._link
             self._progress("waiting for the vehicle")
             await link.wait_ready(mission.vehicle.ready_timeout_s)
-            await self._changes.put_back()  # what a flight before this one left
+            self._is_attached = setup.history is not None and link.state.is_armed
+            if not self._is_attached:
+                await self._changes.put_back()  # what a flight before this one left
             await self._changes.make(setup.settings)
             await self._exit.enter_async_context(setup.camera)  # its clock is the vehicle's
             sight = await look(setup)
             frame = await self._lay_area()
-            away_m = math.dist(link.pose.position_ned_m[:2], frame.centre_ned_m)
-            if problem := battery_problem(mission, away_m):
-                raise setup.file.error(("area", "latitude_deg"), problem)
             self._battery.parameters = await link.read_parameters(RETURN_PARAMETERS)
-            await self._check_fitness(sight, frame)
+            if not self._is_attached:
+                await self._check_fitness(sight, frame)
             fence = await self._lay_fence(frame)
             start_au, roadmap = draw_start_and_roadmap(mission)
             briefing = brief(mission, setup.priors_au, start_au, stream="planner")
@@ -172,6 +174,7 @@ class _Flight:
             who = f"planner '{setup.planner.name}'"
             await in_daemon_thread(reset, who, PlannerError, _RESET_LIMIT_S)
             self._tell_area(frame, fence, roadmap)
+            self._tell_resumed(frame)
             self._patrol = Patrol(
                 setup,
                 self._supervisor,
@@ -186,25 +189,50 @@ class _Flight:
 
     async def _check_fitness(self, sight: Sight, frame: AreaFrame) -> None:
         """Tell what is not as it should be. Raises VehicleError where it must not fly so."""
-        findings = await find(self._setup, sight, frame=frame)
-        if error := refusal(findings, self._setup.file.path):
+        setup, link = self._setup, self._link
+        away_m = math.dist(link.pose.position_ned_m[:2], frame.centre_ned_m)
+        problem = battery_problem(self._mission, away_m)
+        if problem and setup.history is None:  # else less is left to fly
+            raise setup.file.error(("area", "latitude_deg"), problem)
+        findings = await find(setup, sight, frame=frame)
+        if error := refusal(findings, setup.file.path):
             raise error
         for finding in against(findings, Verdict.WARNING):
             self._events.note("preflight", str(finding), level="WARN")
 
     async def _lay_area(self) -> AreaFrame:
-        """Lay the square over the ground; its height is what the vehicle reads standing on it."""
-        downs_m = [(await self._link.next_pose()).position_ned_m[2] for _ in range(_GROUND_POSES)]
-        return lay_area(self._mission, self._link.state, float(np.mean(downs_m)))
+        """Lay the square over the ground, where it lay if the run goes on.
+
+        Its height is what the vehicle reads standing on it.
+        """
+        link, history = self._link, self._setup.history
+        laid = history.laid if history else None
+        is_same_clock = history is not None and history.go_over_to(link.time_s)
+        if laid and is_same_clock:
+            return laid.frame
+        if self._is_attached:
+            raise VehicleError(
+                "where its area lies is not known in the air: the vehicle has rebooted since, or "
+                "the run had not come so far; land it, then resume"
+            )
+        downs_m = [(await link.next_pose()).position_ned_m[2] for _ in range(_GROUND_POSES)]
+        centre = laid.centre if laid else None
+        return lay_area(self._mission, link.state, float(np.mean(downs_m)), centre)
 
     async def _lay_fence(self, frame: AreaFrame) -> Fence:
-        """Have the vehicle keep the fence that the guard keeps."""
-        fence, origin = fence_around(self._mission, frame, self._link), self._link.state.origin
+        """Have the vehicle keep the fence that the guard keeps; in the air it has it already."""
+        link, history = self._link, self._setup.history
+        if self._is_attached:
+            armed = history.armed if history else None
+            at_m = armed.home_ned_m if armed else None
+            return fence_around(self._mission, frame, link, armed_ned_m=at_m)
+        fence, origin = fence_around(self._mission, frame, link), link.state.origin
         assert origin is not None  # wait_ready waited for it
         await self._changes.lay_fence(polygon_items(fence.corners_deg(origin)))
         return fence
 
     def _tell_area(self, frame: AreaFrame, fence: Fence, roadmap: Roadmap) -> None:
+        """Tell of the area; the line of it has what a flight that goes on needs to know."""
         self._events.emit(
             AreaLaid(
                 area=frame,
@@ -214,26 +242,55 @@ class _Flight:
                 edges=np.argwhere(roadmap.edge_lengths_au.toarray() > 0),
             )
         )
+        origin = self._link.state.origin
+        assert origin is not None  # as above
+        centre = ned_to_geo(np.array([*frame.centre_ned_m, frame.ground_down_m]), origin)
         self._events.note(
             "ready",
             "the vehicle is ready, and has the flight's fence",
             frame=asdict(frame),
+            centre=asdict(centre),
             fence_ned_m=fence.corners_ned_m,
         )
+
+    def _tell_resumed(self, frame: AreaFrame) -> None:
+        """Tell where a run goes on, if one does."""
+        history = self._setup.history
+        if history and (tally := history.tally):
+            flown_au = tally.flown_m / frame.side_m
+            old_s = self._link.time_s - tally.start_s - frame.au_to_s(tally.sightings.time_au)
+            what = f"goes on at {flown_au:.1f} of {self._mission.horizon_au:g} au"
+            what += f"; the last picture is {old_s:.0f} s old"
+            self._events.note("resumed", what, start_s=tally.start_s)
 
     # In the air
 
     async def _launch(self) -> None:
-        """Arm and climb."""
+        """Arm and climb; a flight that goes on in the air is taken over in Hold."""
+        if self._is_attached:
+            await self._attach()
+            return
         self._progress("arming")
         await self._link.arm()  # not interruptible: it could arm after nobody waits any more
         self._home_ned_m = self._link.pose.position_ned_m
         self._supervisor.hear_armed()
-        self._events.note("armed", "motors are running")
+        self._events.note("armed", "motors are running", home_ned_m=self._home_ned_m)
         async with self._setup.interrupts.leaving():
             self._progress("taking off")
             await self._link.take_off(self._mission.flight.altitude_m)
         self._events.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
+
+    async def _attach(self) -> None:
+        history = self._setup.history
+        assert history is not None
+        if not self._link.state.is_armed or self._link.state.landed is Landed.ON_GROUND:
+            raise VehicleError("it has landed meanwhile: resume again once it is disarmed")
+        if history.armed is not None:
+            self._home_ned_m = history.armed.home_ned_m
+            self._battery.go_on(self._link.time_s - history.armed.time_s)
+        self._supervisor.hear_armed()
+        await self._link.hold()
+        self._events.note("attached", "taken over in the air")
 
     async def _fly_patrol(self) -> None:
         """Patrol; what was taken and not looked at by its end is looked at on the way home."""

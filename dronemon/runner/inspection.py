@@ -30,7 +30,7 @@ from dronemon.recorder import NEEDED_BYTES
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, try_detector
 from dronemon.runner.supervisor import FAILSAFE_HOLD_LIMIT_S
-from dronemon.types import Picture
+from dronemon.types import Picture, Vector3
 from dronemon.vehicle import VehicleLink, VehicleState
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import areas_of
@@ -56,12 +56,17 @@ async def look(setup: FlightSetup) -> Sight:
     return Sight(wait_s=wait_s, age_s=max(now_s - picture.time_s, 0.0))
 
 
-def lay_area(mission: Mission, state: VehicleState, ground_down_m: float) -> AreaFrame:
-    """Lay the square over the ground; home and origin must be known."""
+def lay_area(
+    mission: Mission, state: VehicleState, ground_down_m: float, laid: GeoPoint | None = None
+) -> AreaFrame:
+    """Lay the square over the ground; home and origin must be known.
+
+    laid: where its centre was laid before
+    """
     area = mission.area
     assert state.home is not None  # wait_ready waited for both
     assert state.origin is not None
-    centre = state.home
+    centre = laid or state.home
     if area.latitude_deg is not None and area.longitude_deg is not None:
         centre = GeoPoint(latitude_deg=area.latitude_deg, longitude_deg=area.longitude_deg)
     north_m, east_m, _ = geo_to_ned(centre, state.origin)
@@ -75,14 +80,21 @@ def lay_area(mission: Mission, state: VehicleState, ground_down_m: float) -> Are
 
 
 def fence_around(
-    mission: Mission, frame: AreaFrame, link: VehicleLink, margin_m: float | None = None
+    mission: Mission,
+    frame: AreaFrame,
+    link: VehicleLink,
+    margin_m: float | None = None,
+    armed_ned_m: Vector3 | None = None,
 ) -> Fence:
-    """The flight's fence; margin_m: the mission's unless it is given."""
+    """The flight's fence; margin_m: the mission's unless it is given.
+
+    armed_ned_m: where it was armed, unless it will be where it stands
+    """
     state, flight = link.state, mission.flight
     assert state.home is not None  # as above
     assert state.origin is not None
     north_m, east_m, _ = geo_to_ned(state.home, state.origin)
-    stands_m = link.pose.position_ned_m[:2]  # home will be there, once it is armed
+    stands_m = (armed_ned_m or link.pose.position_ned_m)[:2]  # home is there once it is armed
     return Fence.around(
         frame,
         [(float(north_m), float(east_m)), stands_m],

@@ -17,6 +17,7 @@ from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, make_belief
 from dronemon.runner.tally import Tally
+from dronemon.sightings import Sightings
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vision.observe import observe
 from dronemon.vision.project import interpolate_pose
@@ -33,13 +34,18 @@ _LOOK_LIMIT_S = 3.0
 
 
 class Observer:
-    """The patrol's eyes; `tally` is given when it begins.
+    """The patrol's eyes; `tally` is given when it begins, or goes on.
 
     belief: what the pictures have told so far.
     """
 
     def __init__(
-        self, setup: FlightSetup, events: EventStream, frame: AreaFrame, battery: Battery
+        self,
+        setup: FlightSetup,
+        events: EventStream,
+        frame: AreaFrame,
+        battery: Battery,
+        tally: Tally | None,
     ) -> None:
         self._setup = setup
         self._mission = setup.file.mission
@@ -56,8 +62,9 @@ class Observer:
         self._num_blind = 0
         self._due = asyncio.Event()
         self._is_taking = False
-        self.belief = make_belief(self._mission, setup.priors_au)
-        self.tally: Tally | None = None
+        self.tally = tally
+        sightings = tally.sightings if tally else Sightings(setup.priors_au)
+        self.belief = make_belief(self._mission, sightings)
 
     @property
     def is_taking(self) -> bool:
@@ -135,6 +142,7 @@ class Observer:
         detections, measurement, score = await in_daemon_thread(
             look, "the detector", CameraError, _LOOK_LIMIT_S
         )
+        stretch = tally.stretch(picture.time_s)
         self._events.emit(
             Measured(
                 time_s=picture.time_s,
@@ -142,13 +150,13 @@ class Observer:
                 score=score,
                 battery=self._link.state.battery,
                 battery_needed=self._battery.needed,
-                cross_track_m=tally.cross_track_m[-1] if tally.cross_track_m else None,
+                stretch=stretch,
             )
         )
-        tally.measure(picture.time_s)
-        for name, is_seen in zip(self._names, measurement.seen, strict=True):
-            if is_seen:
-                tally.last_seen_s[name] = picture.time_s
+        seen = (
+            name for name, is_seen in zip(self._names, measurement.seen, strict=True) if is_seen
+        )
+        tally.measure(picture.time_s, stretch.pictured_m, seen)
         self._unseen.popleft()
         self._blind_since_s = None
         self.belief.sightings.add(measurement)

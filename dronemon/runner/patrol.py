@@ -78,14 +78,18 @@ class Patrol:
         self._frame = frame
         self._fence = fence
         self._roadmap = roadmap
-        self._observer = Observer(setup, events, frame, battery)
         self._battery, self._drag = battery, battery.drag
+        history = setup.history
+        self.tally = history.tally if history else None
+        self._observer = Observer(setup, events, frame, battery, self.tally)
         self._names = tuple(target.name for target in self._mission.targets)
         self._horizon_m = self._mission.horizon_au * frame.side_m
         self._num_pictures = math.floor(self._mission.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-6)
         self._down_m = frame.ground_down_m - self._mission.flight.altitude_m
         self._waypoint_au = start_au
         self._node: int | None = 0
+        if history and history.waypoint_au is not None:
+            self._waypoint_au, self._node = history.waypoint_au, history.node
         self._last_pose: Pose | None = None
         self._last_setpoint_s = -math.inf
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
@@ -93,7 +97,6 @@ class Patrol:
         self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
         self._due_s = self._answer_s = 0.0  # since when it is, and how long answers took of late
         self._on_path_s = 0.0
-        self.tally: Tally | None = None
 
     async def run(self) -> None:
         """Patrol from wherever the vehicle is, until the guard says to leave.
@@ -297,7 +300,7 @@ class Patrol:
         if self.tally is None:
             self.tally = Tally(start_s=now_s, sightings=self._observer.belief.sightings)
             self._observer.tally = self.tally
-            self._events.note("patrol", "the patrol begins")
+            self._events.note("patrol", "the patrol begins", start_s=now_s)
         snapshot = self._snapshot(self.tally, now_s)
         began = time.perf_counter()
         waypoint = await in_daemon_thread(

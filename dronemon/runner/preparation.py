@@ -22,6 +22,7 @@ from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Briefing, Planner, Snapshot
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.history import History
 from dronemon.runner.interrupts import Interrupted, Interrupts
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement, Pose
@@ -43,6 +44,7 @@ class FlightSetup:
     priors_au: (N, 2) au known positions of the targets, NaN where unknown
     settings:  parameters of the vehicle for this flight, put back after it
     folder:    where the record goes
+    history:   of the run that goes on, if one does
     """
 
     file: MissionFile
@@ -56,6 +58,7 @@ class FlightSetup:
     interrupts: Interrupts
     settings: Mapping[str, float] = field(default_factory=dict)
     folder: Path = Path()
+    history: History | None = None
 
 
 _SWITCH_S = 0.0005
@@ -93,7 +96,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         seen=np.zeros(num_targets, dtype=np.bool_),
         target_au=np.full((num_targets, 2), np.nan),
     )
-    belief = make_belief(mission, priors_au)
+    belief = make_belief(mission, Sightings(priors_au))
     belief.sightings.add(measurement)
     with _belief_compiled_beside():
         try_detector(mission, detector)
@@ -180,9 +183,9 @@ def brief(
     )
 
 
-def make_belief(mission: Mission, priors_au: FloatArray) -> Belief:
-    """Belief at time 0. priors_au: (N, 2), NaN where unknown."""
-    return Belief(Sightings(priors_au), mission_kernel(mission))
+def make_belief(mission: Mission, sightings: Sightings) -> Belief:
+    """What was seen, as beliefs."""
+    return Belief(sightings, mission_kernel(mission))
 
 
 def mission_kernel(mission: Mission) -> Matern32:

@@ -35,7 +35,7 @@ from dronemon.guard import (
 from dronemon.runner.battery import Battery
 from dronemon.runner.interrupts import Interrupted, Interrupts
 from dronemon.runner.telling import Telling
-from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
+from dronemon.vehicle import UNFLOWN, Landed, Mode, Setpoint, VehicleLink
 
 REPORT_INTERVAL_S = 1.0
 """Vehicle time between two lines of progress."""
@@ -69,6 +69,7 @@ class Supervisor:
     """What one flight has come to, and the steps that the guard asks for.
 
     progress: tells a line of progress of a phase; planner_name: for its errors.
+    is_resumed: whether a flight of before goes on.
     outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`; error: what
     went wrong first, also if the drone came home after it.
     was_armed: whether we armed it; is_down: whether the motors are off for sure.
@@ -82,13 +83,12 @@ class Supervisor:
         *,
         progress: Callable[[str], None],
         battery: Battery,
+        is_resumed: bool,
         planner_name: str,
     ) -> None:
-        self._link = link
-        self._events = events
-        self._telling = Telling(events)
-        self._interrupts = interrupts
-        self._progress = progress
+        self._link, self._interrupts = link, interrupts
+        self._events, self._telling = events, Telling(events)
+        self._progress, self._is_resumed = progress, is_resumed
         self._report_due_s = -math.inf
         self._battery = battery
         self._planner_name = planner_name
@@ -249,6 +249,7 @@ class Supervisor:
             before=self._before,
             setback=self._setback,
             is_armed=state.is_armed,
+            may_attach=self._is_resumed and not is_on_ground and state.mode in UNFLOWN,
             is_sure=number >= self._sure_at,
             is_on_ground=is_on_ground,
             is_on_ground_long=is_on_ground and now_s > self._off_ground_s + DISARM_LIMIT_S,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from dronemon.events import Stretch
 from dronemon.sightings import Sightings
 from dronemon.types import Pose
 
@@ -45,6 +46,7 @@ class Tally:
     recent_s: array[float] = field(default_factory=_numbers)
     recent_m: array[float] = field(default_factory=_numbers)
     """Vehicle time and distance flown at each pose since the last measurement's."""
+    _num_told: tuple[int, int] = (0, 0)
 
     def move(self, last: Pose, pose: Pose) -> None:
         """Count the way between two poses: the integral of ground speed, so errors do not add."""
@@ -55,14 +57,36 @@ class Tally:
         self.recent_s.append(pose.time_s)
         self.recent_m.append(self.flown_m)
 
-    def measure(self, time_s: float) -> None:
-        """Count a measurement of an instant in the recent past, later than the last one."""
+    def stretch(self, time_s: float) -> Stretch:
+        """What is new at a measurement of an instant in the recent past, later than the last."""
         is_flown = len(self.recent_s) > 0
         flown_m = np.interp(time_s, self.recent_s, self.recent_m) if is_flown else self.flown_m
-        self.times_s.append(time_s)
-        self.pictured_m.append(float(flown_m))
         passed = max(bisect(self.recent_s, time_s) - 1, 0)
         del self.recent_s[:passed], self.recent_m[:passed]
+        speeds, crosses = self._num_told
+        self._num_told = len(self.speeds_m_s), len(self.cross_track_m)
+        return Stretch(
+            pictured_m=float(flown_m),
+            flown_m=self.flown_m,
+            duration_s=self.duration_s,
+            pictures_due=self.num_pictures_due,
+            speeds_m_s=[round(value, 4) for value in self.speeds_m_s[speeds:]],
+            cross_track_m=[round(value, 4) for value in self.cross_track_m[crosses:]],
+        )
+
+    def measure(self, time_s: float, pictured_m: float, seen: Iterable[str]) -> None:
+        """Count a measurement of this instant, and those whom it saw."""
+        self.times_s.append(time_s)
+        self.pictured_m.append(pictured_m)
+        self.last_seen_s |= dict.fromkeys(seen, time_s)
+
+    def go_on_from(self, stretch: Stretch) -> None:
+        """Take over what was flown until a measurement, in the order in which it was."""
+        self.flown_m, self.duration_s = stretch.flown_m, stretch.duration_s
+        self.num_pictures_due = stretch.pictures_due
+        self.speeds_m_s.extend(stretch.speeds_m_s)
+        self.cross_track_m.extend(stretch.cross_track_m)
+        self._num_told = len(self.speeds_m_s), len(self.cross_track_m)
 
     def since_seen_s(self, names: tuple[str, ...], now_s: float) -> Mapping[str, float | None]:
         """Seconds since each target was seen; None: never."""

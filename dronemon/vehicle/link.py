@@ -45,6 +45,10 @@ BY_STICKS = (
 """Modes in which a pilot flies."""
 
 
+UNFLOWN = frozenset({Mode.HOLD, Mode.RETURN, Mode.LAND})
+"""Modes in which a vehicle may be in the air and nobody flies it."""
+
+
 class Landed(StrEnum):
     """What the autopilot's landing detector says."""
 

@@ -24,7 +24,7 @@ def problems(telemetry: Telemetry, round_trips_s: Sequence[float]) -> list[str]:
     """
     state = telemetry.state
     checks = {
-        "arming checks not passed": state.is_armable,
+        "arming checks not passed": state.is_armable or state.is_armed,
         "no good absolute position (GPS?)": state.is_position_good,
     }
     return [

@@ -157,7 +157,7 @@ class Drawing:
             time_s,
             battery=event.battery,
             battery_needed=event.battery_needed,
-            cross_track_m=event.cross_track_m,
+            cross_track_m=next(reversed(event.stretch.cross_track_m), None),
         )
         for number, name in enumerate(self._names):
             if measurement.seen[number]:

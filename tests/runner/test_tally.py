@@ -34,7 +34,7 @@ def test_hours_take_little_memory_and_the_distance_at_each_picture_is_exact():
         tally.cross_track_m.append(0.1)
         flown_m.append(tally.flown_m)
         if pose.time_s > due_s + 0.5:  # a picture is looked at after a while
-            tally.measure(due_s)
+            tally.measure(due_s, tally.stretch(due_s).pictured_m, ())
             due_s += PICTURE_S
     exact_m = np.interp(tally.times_s, times_s, flown_m)
     assert len(tally.times_s) == 249
@@ -46,5 +46,5 @@ def test_hours_take_little_memory_and_the_distance_at_each_picture_is_exact():
 
 def test_a_measurement_before_the_first_pose_is_where_the_patrol_began():
     tally = Tally(start_s=0.0, sightings=Sightings(np.zeros((1, 2))))
-    tally.measure(1.0)
+    tally.measure(1.0, tally.stretch(1.0).pictured_m, ())
     assert list(tally.pictured_m) == [0.0]

@@ -42,7 +42,7 @@ def test_who_follows_takes_faults_of_the_camera_and_no_key(
     key.write_bytes(bytes(32))
     with pytest.raises(SystemExit):
         _parse([*FOLLOW, "--signing-key", str(key)])
-    assert "--signing-key do not apply" in capsys.readouterr().err
+    assert "--signing-key, --clock do not apply" in capsys.readouterr().err
 
 
 def test_missing_mission_ends_with_status_2(caplog: pytest.LogCaptureFixture) -> None:

@@ -28,6 +28,7 @@ from dronemon.events import (
     Moved,
     Noted,
     Pictured,
+    Stretch,
     TruthTold,
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
@@ -102,7 +103,14 @@ def measured(time_s: float, seen: list[bool], battery: float | None = None) -> M
         measurement=measurement(seen),
         score=np.array([0.9, 0.9]),
         battery=battery,
-        cross_track_m=None,
+        stretch=Stretch(
+            pictured_m=0.0,
+            flown_m=0.0,
+            duration_s=0.0,
+            pictures_due=1,
+            speeds_m_s=(),
+            cross_track_m=(),
+        ),
     )
 
 
