@@ -67,7 +67,9 @@ def main() -> None:
         summary = json.loads((folder / "run" / "summary.json").read_text())
     print(f"outcome {summary['outcome']}, {summary.get('patrol_s', 0.0) / 3600.0:.2f} h on patrol,")
     print(f"pictures {summary.get('pictures')} of {summary.get('pictures_due')}")
-    tenth = max(len(samples) // 10, 1)
+    tenth = len(samples) // 10
+    if not tenth:
+        sys.exit(f"too short to tell what grows: {summary.get('error')}")
     first, last = _medians(samples[tenth : 2 * tenth]), _medians(samples[-tenth:])
     for name in last:
         print(f"{name}: {first[name]:g} in the second tenth, {last[name]:g} in the last")
@@ -98,7 +100,8 @@ def _fly(folder: Path, duration_s: float) -> list[dict[str, float]]:
     observations, samples = folder / "run" / "observations.jsonl", []
     start_s, is_over = math.inf, False
     while child.poll() is None:
-        seen = observations.read_text().splitlines() if observations.exists() else ()
+        text = observations.read_text() if observations.exists() else ""
+        seen = text.splitlines()[: text.count("\n")]  # the last one may be under way
         if seen and not is_over:
             samples.append(_used(child.pid))
             start_s = min(start_s, json.loads(seen[0])["time_s"])
