@@ -45,7 +45,7 @@ BY_STICKS = (
 """Modes in which a pilot flies."""
 
 
-UNFLOWN = frozenset({Mode.HOLD, Mode.RETURN, Mode.LAND})
+UNFLOWN = frozenset({Mode.TAKEOFF, Mode.HOLD, Mode.RETURN, Mode.LAND})
 """Modes in which a vehicle may be in the air and nobody flies it."""
 
 

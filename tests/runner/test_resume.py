@@ -182,7 +182,7 @@ def read_history_anyway(story: Story) -> Sightings:
     return tally.sightings
 
 
-@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.RETURN, Mode.LAND])
+@pytest.mark.parametrize("mode", [Mode.TAKEOFF, Mode.HOLD, Mode.RETURN, Mode.LAND])
 def test_a_flight_goes_on_in_the_air(story, mode):
     last_s = story.crash_after(12)
     result = story.fly(_aloft(last_s + 9.0, mode))
@@ -241,7 +241,7 @@ def test_statistics_count_both_parts(story):
     assert len(result.tally.speeds_m_s) > sum(len(part["speeds_m_s"]) for part in before)
 
 
-@pytest.mark.parametrize("mode", [Mode.POSITION, Mode.OFFBOARD, Mode.TAKEOFF])
+@pytest.mark.parametrize("mode", [Mode.POSITION, Mode.OFFBOARD, Mode.MISSION])
 def test_what_somebody_flies_is_not_taken_over(story, mode):
     last_s = story.crash_after(12)
 
