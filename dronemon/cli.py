@@ -82,8 +82,8 @@ Resume = Annotated[
     Path | None,
     typer.Option(
         metavar="RUN",
-        help="Go on with a run whose program ended, in the air (in Hold, or on the way home) or on "
-        "the ground.",
+        help="Go on with a run whose program ended: in the air, unless somebody flies the vehicle, "
+        "or on the ground.",
     ),
 ]
 Settings = Annotated[

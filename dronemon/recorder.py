@@ -259,15 +259,6 @@ class RunFolder:
             return self.rrd_path
         return self.path / f"flight-{len(self.more_recordings()) + 2}.rrd"
 
-    def is_being_flown(self) -> bool:
-        """Whether a program flies this run now."""
-        with (self.path / MISSION_FILE).open("rb") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return True
-        return False
-
     def mission_text(self) -> str:
         """Read the mission as flown."""
         return (self.path / MISSION_FILE).read_bytes().decode()

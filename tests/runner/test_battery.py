@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import virtual_time
 from fake_link import ORIGIN, FakeCamera, FakeLink
+from flights import Blind, Listener
 from windy_vehicle import WindyVehicle
 
-from dronemon.events import Event, Measured, Noted, Progressed
+from dronemon.events import Measured, Progressed
 from dronemon.mission import load_mission
 from dronemon.mission.schema import Flight
 from dronemon.planner import Briefing, Snapshot, Waypoint
@@ -51,22 +52,6 @@ class AtCorner:
         self._asked += 1
         inward_au = np.sign(0.5 - self._corner_au) * [0.1, 0.05]
         return Waypoint(position_au=self._corner_au + self._asked % 2 * inward_au)
-
-
-class Blind:
-    def detect(self, *_: object) -> tuple[()]:
-        return ()
-
-
-class Listener:
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-
-    def take(self, event: Event) -> None:
-        self.events.append(event)
-
-    def text(self, kind: str) -> str:
-        return next(e.text for e in self.events if isinstance(e, Noted) and e.kind == kind)
 
 
 def _fly(

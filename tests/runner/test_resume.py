@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import virtual_time
 from fake_link import FakeCamera, FakeLink
+from flights import Listener
 
 from dronemon.errors import RecordError
-from dronemon.events import Event, Noted
 from dronemon.mission import MissionFile, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.recorder import RunFolder, RunRecorder
@@ -62,15 +62,6 @@ class Sometimes:
         return (Detection(appearance="cow", pixel_px=(320.0, 240.0), score=0.9),)
 
 
-class Watch:
-    def __init__(self) -> None:
-        self.kinds: list[str] = []
-
-    def take(self, event: Event) -> None:
-        if isinstance(event, Noted):
-            self.kinds.append(event.kind)
-
-
 class Story:
     """A run folder, and flights that begin it or go on with it."""
 
@@ -78,14 +69,14 @@ class Story:
         (folder / "small.yaml").write_text(MISSION)
         self.file: MissionFile = load_mission(folder / "small.yaml")
         self.path = folder / "run"
-        self.planner, self.watch = Shuttle(), Watch()
+        self.planner, self.watch = Shuttle(), Listener()
         self.link: FakeLink
 
     def fly(self, prepare: Callable[[FakeLink], None] = lambda link: None) -> FlightResult:
         return virtual_time.run(self._fly(prepare))
 
     async def _fly(self, prepare: Callable[[FakeLink], None]) -> FlightResult:
-        self.planner, self.watch = Shuttle(), Watch()
+        self.planner, self.watch = Shuttle(), Listener()
         folder, mission = RunFolder(path=self.path), self.file.mission
         is_new = not self.path.exists()
         recorder = (
@@ -271,8 +262,10 @@ def test_a_completed_run_has_nothing_left(story):
 def test_one_program_alone_flies_a_run(story):
     story.crash_after(12)
     folder = RunFolder(path=story.path)
+    with (
+        RunRecorder.resume(folder, story.file.mission),
+        pytest.raises(RecordError, match="is being flown by another program"),
+    ):
+        RunRecorder.resume(folder, story.file.mission)
     with RunRecorder.resume(folder, story.file.mission):
-        assert folder.is_being_flown()
-        with pytest.raises(RecordError, match="is being flown by another program"):
-            RunRecorder.resume(folder, story.file.mission)
-    assert not folder.is_being_flown()
+        assert folder.summary()["outcome"] == "in flight"
