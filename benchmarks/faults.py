@@ -9,16 +9,17 @@ each flight:
 - lost:      pictures whose observation is missing, beyond those that the case spoils
 - crossings: how often the autopilot said that the fence is crossed, where that is not the fault
 - last line: whether it is true
+What a flight that is against what is promised said last is kept with it.
 
 A real PX4 is flown beside the mock where DRONEMON_PX4 is a command line that runs what follows it
-beside a fresh PX4 which streams to 127.0.0.1:14540 and :14550, DRONEMON_PX4_SPEED times real time;
-it must become that command (exec), which gets the signals. Faults of the simulated autopilot do not
-apply there.
+beside a fresh PX4 which streams to 127.0.0.1:14540 and :14550, DRONEMON_PX4_SPEED times real time.
+Faults of the simulated autopilot do not apply there.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
@@ -33,6 +34,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
+
+import psutil
 
 from dronemon import cli
 from dronemon.errors import DronemonError
@@ -59,12 +62,16 @@ SPEED_UP = 10.0
 NEVER_ENDED = "\nnever ended"
 PX4 = shlex.split(os.environ.get("DRONEMON_PX4", ""))
 _FULL_DISK_BYTES = 2_500
+_SAID_LINES = 40
+"""Of a bad flight, what is kept of its output."""
 
 
 class Child(Protocol):
     """A flying program."""
 
-    pid: int
+    @property
+    def pid(self) -> int:
+        """Of its process."""
 
     @property
     def is_flying(self) -> bool:
@@ -173,6 +180,10 @@ def main() -> None:
             times_s = _times_s(done, vehicle, seed)
             result = fly(CASES[name], vehicle, seed, times_s.get(moment, 0.0))
             result |= {"vehicle": vehicle, "case": name, "moment": moment, "seed": seed}
+            if not is_bad(result):
+                del result["said"]
+            elif name == "none":
+                sys.exit("\n".join(["the flight without a fault failed:", *result["said"]]))
             done[vehicle, name, moment, seed] = result
             with options.results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(result) + "\n")
@@ -203,7 +214,7 @@ def _flights(options: argparse.Namespace, vehicle: str) -> Iterator[tuple[str, s
 def _times_s(done: dict[tuple[Any, ...], Result], vehicle: str, seed: int) -> dict[str, float]:
     """When each moment is, in seconds after arming, from the flight without a fault."""
     control = done.get((vehicle, "none", "patrol", seed))
-    return control["moments_s"] if control else {}
+    return control.get("moments_s", {}) if control else {}
 
 
 def fly(case: Case, vehicle: str, seed: int, moment_s: float) -> Result:
@@ -235,7 +246,8 @@ def fly(case: Case, vehicle: str, seed: int, moment_s: float) -> Result:
             _wait_until(out, moment_s / speed_up, child)
             case.act(child)
         status, said = child.end()
-        return _judge(case, out, said.strip().splitlines(), status)
+        lines = said.strip().splitlines()
+        return _judge(case, out, lines, status) | {"said": lines[-_SAID_LINES:]}
 
 
 class _Spawned:
@@ -257,7 +269,16 @@ class _Spawned:
             text=True,
             preexec_fn=prepare,
         )
-        self.pid = self._process.pid
+
+    @property
+    def pid(self) -> int:
+        """Of the program itself, whatever it was started by."""
+        begun = psutil.Process(self._process.pid)
+        for process in (begun, *begun.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                if process.cmdline()[1:3] == ["-m", "dronemon.cli"]:
+                    return process.pid
+        return begun.pid
 
     @property
     def is_flying(self) -> bool:
@@ -337,7 +358,7 @@ def _judge(case: Case, out: Path, said: list[str], status: int) -> Result:
         run = RunFolder.open(out)
         summary, events = run.summary(), list(run.events())
         num_seen, _ = len(list(run.observations())), list(run.decisions())
-        result["outcome"] = summary["outcome"]
+        result["outcome"], result["error"] = summary["outcome"], summary.get("error")
         result["folder"] = "whole" if not run.damaged_files() else "damaged"
     except (DronemonError, OSError, LookupError) as exc:
         return result | {"folder": f"unreadable: {exc!r}", "end": "UNCONTROLLED", "is_true": False}
@@ -350,7 +371,9 @@ def _judge(case: Case, out: Path, said: list[str], status: int) -> Result:
         result["crossings"] = sum(text.startswith("Geofence:") for text in said_by_it)
     is_left, is_landed = FIRST_WORDS in last, summary.get("is_landed", False)
     was_armed = "armed" in {event["kind"] for event in events}
-    if status == -signal.SIGKILL and "killed" in case.ends:
+    if status in {-signal.SIGKILL, 128 + signal.SIGKILL} and "killed" in case.ends:
+        if status > 0:
+            result["last_line"] = ""  # of what it was started by, which survived it
         return result | {"end": "killed", "is_true": True}
     result["end"] = "UNCONTROLLED"
     if is_left:
@@ -389,6 +412,7 @@ def is_bad(result: Result) -> bool:
 def table(results: list[Result]) -> str:
     """The results as Markdown: a row per case and moment, a column per vehicle."""
     vehicles = sorted({result["vehicle"] for result in results})
+    crossings = [result["crossings"] for result in results if "crossings" in result]
     lines = [
         "# Faults in flight\n",
         "Written by `python benchmarks/faults.py`; its docstring says what is judged.\n",
@@ -396,7 +420,7 @@ def table(results: list[Result]) -> str:
         f"uncontrolled ends {sum(r['end'] == 'UNCONTROLLED' for r in results)}, "
         f"folders not whole {sum(r['folder'] != 'whole' for r in results)}, observations lost "
         f"beyond the picture in flight {sum(max(r['lost'] - 1, 0) for r in results)}, "
-        f"fence crossings {sum(r.get('crossings', 0) for r in results)}, "
+        f"fence crossings {sum(crossings)} in the {len(crossings)} where they are counted, "
         f"last lines not true {sum(not r['is_true'] for r in results)}.\n",
         "| fault | moment | " + " | ".join(vehicles) + " |",
         "|---|---|" + "---|" * len(vehicles),

@@ -36,6 +36,8 @@ def main() -> int:
         "--ours", action="store_true", help="with newest, ways, geometry and tracks"
     )
     options = parser.parse_args()
+    if options.decisions <= HISTORY:
+        parser.error(f"--decisions: more than {HISTORY}, the first of which are not counted")
     torch.manual_seed(0)
     config = NetworkConfig(
         width=options.width,

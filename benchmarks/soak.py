@@ -37,10 +37,11 @@ view: {{live: false}}
 """
 FAULTS = (
     *("loss=0.2+10", "delay=0.2+10", "duplicate=1.5+10", "reorder=0.3+10", "corrupt=0.1+10"),
-    *("silence+2", "ignore+0.5", "gps+3", "jump=5+20", "pilot+8"),
+    *("silence+0.5", "ignore+0.5", "gps+3", "jump=5+20", "pilot+8"),
     *("camera+8", "torn+5", "blank+5", "repeat+5", "late=1+5", "misdate=100+5"),
     *("hide=0.5+20", "decoy=0.5+20"),
 )
+"""None that an autopilot answers with a failsafe, as a silence longer than COM_OF_LOSS_T (1 s)."""
 MEMORY_LIMIT = 0.05
 _FAULT_EVERY_S = (100.0, 160.0)
 _MOST_FAULTS = 100

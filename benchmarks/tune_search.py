@@ -15,6 +15,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, replace
+from typing import get_args
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import Planner
 from dronemon.planner.search import ClairvoyantSearchPlanner, SearchPlanner
 from dronemon.planner.settings import MotionSettings, SearchSettings
-from dronemon.problem import FIRST_DEVELOPMENT_SEED
+from dronemon.problem import FIRST_DEVELOPMENT_SEED, Prior
 from dronemon.types import FloatArray
 from dronemon.world import Instance
 
@@ -57,16 +58,17 @@ def changed(text: str) -> SearchSettings:
     return settings
 
 
-def scores(planner: Planner, cells: list[tuple[int, float]], num_instances: int) -> FloatArray:
+def scores(
+    planner: Planner, cells: list[tuple[int, float]], prior: Prior, num_instances: int
+) -> FloatArray:
     """Unc, MinOb and JSD of every cell and instance. -> (C, K, 3)."""
     torch.set_num_threads(1)
     table = np.empty((len(cells), num_instances, 3))
     for c, (num_targets, speed_ratio) in enumerate(cells):
         for k in range(num_instances):
             instance = Instance.draw(FIRST_DEVELOPMENT_SEED + k, num_targets)
-            got = (
-                fly_episode(planner, instance, Conditions(speed_ratio=speed_ratio)).metrics().scores
-            )
+            conditions = Conditions(speed_ratio=speed_ratio, prior=prior)
+            got = fly_episode(planner, instance, conditions).metrics().scores
             table[c, k] = got.unc, got.min_ob, got.jsd
     return table
 
@@ -88,6 +90,7 @@ def main() -> None:
     parser.add_argument("changes", nargs="*", default=list(ABLATIONS))
     parser.add_argument("--instances", type=int, default=8)
     parser.add_argument("--cells", default=CORNERS, help="number of targets : speed ratio, ...")
+    parser.add_argument("--prior", choices=get_args(Prior), default="full")
     parser.add_argument("--clairvoyant", action="store_true")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     arguments = parser.parse_args()
@@ -104,7 +107,11 @@ def main() -> None:
         planners = [make(changed(name)) for name in names]
         count = len(names)
         tables: Iterator[FloatArray] = pool.map(
-            scores, planners, [cells] * count, [arguments.instances] * count
+            scores,
+            planners,
+            [cells] * count,
+            [arguments.prior] * count,
+            [arguments.instances] * count,
         )
         base = next(tables)
         print(line("as it is", base, base), flush=True)

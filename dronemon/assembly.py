@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-from collections.abc import Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -17,7 +17,7 @@ import numpy as np
 
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
 from dronemon.errors import DronemonError, VehicleError
-from dronemon.events import TruthTold
+from dronemon.events import Subscriber, TruthTold
 from dronemon.feasibility import make_planner
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
@@ -32,7 +32,8 @@ from dronemon.runner import (
     mission_kernel,
     rehearse,
 )
-from dronemon.runner.history import read_history, read_newest
+from dronemon.runner.history import History, Newest, read_history, read_newest
+from dronemon.runner.relay import Relay
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, read_truth, simulator
 from dronemon.terminal import FlightDisplay, console, print_error
@@ -68,12 +69,13 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
     Raises DronemonError for what fails before the flight begins; the rest is in the result.
     """
     mission = file.mission
-    planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
+    planner = make_planner(mission.planner)
+    newest = read_newest(RunFolder.open(request.resume)) if request.resume else None
     with _recorder(mission, request) as recorder:
         try:
             console.print(f"run folder: {recorder.folder.path}", soft_wrap=True, markup=False)
             console.print("getting ready (the first time code is compiled, for about 15 s)")
-            result, truth = await _with_everything(file, planner, request, recorder)
+            result, truth = await _with_everything(file, planner, request, recorder, newest)
         except BaseException as exc:
             if recorder.is_empty and SIMULATOR_LOG not in str(exc):  # else one is sent there
                 recorder.discard()
@@ -91,7 +93,7 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
             recorder.finish(result.outcome, summary.as_json())
         except Exception as exc:  # noqa: BLE001 - the last word on the drone comes first
             result = _failed_after(result, exc)
-            summary = sum_up(replace(result, tally=None), truth={})
+            summary = sum_up(replace(result, tally=None), truth=())
     return result, summary
 
 
@@ -106,9 +108,7 @@ def _recorder(mission: Mission, request: Request) -> RunRecorder:
     """The record, of a new run or of one that goes on."""
     if request.resume is None:
         return RunRecorder.create(mission, out=request.out)
-    folder = RunFolder.open(request.resume)
-    read_newest(folder)  # it can go on
-    return RunRecorder.resume(folder, mission)
+    return RunRecorder.resume(RunFolder.open(request.resume), mission)
 
 
 def _make_threads() -> None:
@@ -131,17 +131,31 @@ async def _with_everything(
     planner: Planner,
     request: Request,
     recorder: RunRecorder,
-) -> tuple[FlightResult, dict[float, FloatArray]]:
-    """Open simulator, view, link and camera, fly, and close them. -> result, truth"""
-    result, truth = None, dict[float, FloatArray]()
+    newest: Newest | None,
+) -> tuple[FlightResult, list[TruthTold]]:
+    """Open simulator, view, link and camera, fly, and close them. -> result, truth
+
+    newest: of a run that goes on
+    """
+    result, truth = None, list[TruthTold]()
     try:
         async with contextlib.AsyncExitStack() as stack:
-            setup, sim = await _open(file, planner, request, recorder, stack)
-            result = await _fly(setup, sim)
-            truth = read_truth(recorder.folder.path)
-            for time_s, targets_au in truth.items():
-                for watcher in setup.watchers:
-                    watcher.take(TruthTold(time_s=time_s, targets_au=targets_au))
+            detector, interrupts = make_detector(file.mission), _interrupts()
+            _make_threads()
+            rehearsal = rehearse(file.mission, detector, planner, interrupts)
+            run = _Run(
+                file=file,
+                sim=await _start(file.mission, recorder.folder, stack, request, newest, rehearsal),
+                detector=detector,
+                planner=planner,
+                recorder=recorder,
+                watchers=_open_views(file.mission, recorder.folder, stack),
+                interrupts=interrupts,
+                settings=request.settings,
+                folder=recorder.folder.path,
+                truth=truth,
+            )
+            result = await run.fly(is_resumed=newest is not None)
     except Exception as exc:
         if result is None:
             raise
@@ -150,48 +164,25 @@ async def _with_everything(
     return result, truth
 
 
-async def _open(
-    file: MissionFile,
-    planner: Planner,
-    request: Request,
-    recorder: RunRecorder,
-    stack: contextlib.AsyncExitStack,
-) -> tuple[FlightSetup, Simulator | None]:
-    """Open simulator, view and link, and rehearse meanwhile."""
-    folder, mission = recorder.folder, file.mission
-    detector, interrupts = make_detector(mission), _interrupts()
-    _make_threads()
-    rehearsal = rehearse(mission, detector, planner, interrupts)
-    sim = await _start(mission, folder, stack, request, rehearsal)
+def _open_views(
+    mission: Mission, folder: RunFolder, stack: contextlib.AsyncExitStack
+) -> tuple[Subscriber, ...]:
     view = stack.enter_context(FlightView(folder.new_rrd_path(), mission))
     if view.url:
         console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
-    display = stack.enter_context(FlightDisplay(console))
-    link = await stack.enter_async_context(_link(mission, sim))
-    priors_au = _priors(mission, sim)
-    setup = _equip(
-        file,
-        sim,
-        link,
-        detector=detector,
-        planner=planner,
-        record=recorder,
-        watchers=(view, display),
-        interrupts=interrupts,
-        settings=request.settings,
-        folder=folder.path,
-        history=read_history(folder, mission, priors_au) if request.resume else None,
-    )
-    return setup, sim
+    return view, stack.enter_context(FlightDisplay(console))
 
 
-async def assemble_and_inspect(file: MissionFile, request: Request) -> tuple[Finding, ...]:
+async def assemble_and_inspect(
+    file: MissionFile, request: Request, show: Callable[[Sequence[Finding]], None]
+) -> tuple[Finding, ...]:
     """Ask all that is asked before a take-off, with everything that the mission names.
 
+    show: is shown what is found, while it is so
     Raises DronemonError where nothing can be asked.
     """
     mission = file.mission
-    planner = make_planner(mission.planner.kind, mission.planner.checkpoint)
+    planner = make_planner(mission.planner)
     _make_threads()
     async with contextlib.AsyncExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="dronemon-")))
@@ -200,20 +191,20 @@ async def assemble_and_inspect(file: MissionFile, request: Request) -> tuple[Fin
         sim = None
         if mission.vehicle.is_mock or request.follow:
             sim = await stack.enter_async_context(simulator(folder / "run", request.follow))
-        link = await stack.enter_async_context(_link(mission, sim))
-        setup = _equip(
-            file,
-            sim,
-            link,
+        run = _Run(
+            file=file,
+            sim=sim,
             detector=make_detector(mission),
             planner=planner,
-            record=recorder,
+            recorder=recorder,
             watchers=(),
             interrupts=Interrupts(),
             settings=request.settings,
             folder=_existing(request.out or Path()),
         )
-        return await inspect_vehicle(setup, partial(console.print, soft_wrap=True, markup=False))
+        setup = run.setup(await stack.enter_async_context(run.link()))
+        tell = partial(console.print, soft_wrap=True, markup=False)
+        return await inspect_vehicle(setup, tell, show)
 
 
 def _existing(path: Path) -> Path:
@@ -221,36 +212,112 @@ def _existing(path: Path) -> Path:
     return next(folder for folder in (path, *path.absolute().parents) if folder.is_dir())
 
 
-def _equip(file: MissionFile, sim: Simulator | None, link: MavsdkLink, **rest: Any) -> FlightSetup:
-    """A flight's setup, with the camera and what is known of the targets."""
-    return FlightSetup(
-        file=file,
-        link=link,
-        camera=_camera(file.mission, sim, link),
-        priors_au=_priors(file.mission, sim),
-        **rest,
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """A flight, and with a fresh battery the next, until the horizon is flown.
 
+    sim:    None where nothing is simulated
+    folder: on whose disk the record must have room
+    truth:  where the simulator had the targets at each picture, in order, as far as it is told
+    """
 
-async def _fly(setup: FlightSetup, sim: Simulator | None) -> FlightResult:
-    """Fly. A simulator that ends meanwhile is told at once, and its vehicle not waited for."""
-    ends: list[VehicleError] = []
+    file: MissionFile
+    sim: Simulator | None
+    detector: Detector
+    planner: Planner
+    recorder: RunRecorder
+    watchers: tuple[Subscriber, ...]
+    interrupts: Interrupts
+    settings: Mapping[str, float]
+    folder: Path
+    truth: list[TruthTold] = field(default_factory=list)
 
-    async def watch(sim: Simulator) -> None:
-        ends.append(await sim.ended())
-        print_error(str(ends[0]))
-        if sim.vehicle_url is not None:
-            setup.interrupts.give_up()
+    def setup(self, link: MavsdkLink, history: History | None = None) -> FlightSetup:
+        """What the next flight is made of."""
+        return FlightSetup(
+            file=self.file,
+            link=link,
+            camera=_camera(self.file.mission, self.sim, link),
+            detector=self.detector,
+            planner=self.planner,
+            priors_au=self._priors_au(),
+            record=self.recorder,
+            watchers=self.watchers,
+            interrupts=self.interrupts,
+            settings=self.settings,
+            folder=self.folder,
+            history=history,
+        )
 
-    async with asyncio.TaskGroup() as group:
-        watching = group.create_task(watch(sim), name="simulator") if sim else None
-        result = await fly_mission(setup)
-        if watching:
-            watching.cancel()
-    if ends and result.last_seen is not None and sim is not None and sim.vehicle_url is not None:
-        gone = replace(result.last_seen, what_comes="it is gone with its simulator")
-        return replace(result, error=ends[0], last_seen=gone)
-    return result
+    def link(self) -> MavsdkLink:
+        """A new link to the vehicle."""
+        return _link(self.file.mission, self.sim)
+
+    async def fly(self, *, is_resumed: bool) -> FlightResult:
+        """Fly. A simulator that ends meanwhile is told at once, and its vehicle not waited for."""
+        ends: list[VehicleError] = []
+        sim = self.sim
+
+        async def watch(sim: Simulator) -> None:
+            ends.append(await sim.ended())
+            print_error(str(ends[0]))
+            if sim.vehicle_url is not None:
+                self.interrupts.give_up()
+
+        watching = asyncio.create_task(watch(sim), name="simulator") if sim else None
+        try:
+            result = await self._fly_on(is_resumed=is_resumed)
+        finally:
+            if watching:
+                watching.cancel()
+        is_gone = bool(ends) and sim is not None and sim.vehicle_url is not None
+        if is_gone and result.last_seen is not None:
+            gone = replace(result.last_seen, what_comes="it is gone with its simulator")
+            return replace(result, error=ends[0], last_seen=gone)
+        return result
+
+    async def _fly_on(self, *, is_resumed: bool) -> FlightResult:
+        """Fly with one battery after the other. What fails between two is in the last result."""
+        result: FlightResult | None = None
+        landed: FlightResult | None = None
+        while True:
+            try:
+                history = self._history() if is_resumed or result else None
+                async with self.link() as link:
+                    setup = self.setup(link, history)
+                    result = await fly_mission(setup)
+                self._tell_truth()
+                landed = None if result.has_flown else landed
+                if not await Relay(setup, self.link).goes_on(result, landed):
+                    return result
+                landed = landed or result
+            except Exception as exc:
+                if result is None:
+                    raise
+                return _failed_after(result, exc)
+
+    def _history(self) -> History:
+        self.recorder.flush()
+        return read_history(self.recorder.folder, self.file.mission, self._priors_au())
+
+    def _tell_truth(self) -> None:
+        """Tell what the simulator has written since it was asked last."""
+        for told in read_truth(self.recorder.folder.path)[len(self.truth) :]:
+            self.truth.append(told)
+            for watcher in self.watchers:
+                watcher.take(told)
+
+    def _priors_au(self) -> FloatArray:
+        """Known positions of the targets. -> (N, 2) au, NaN where unknown."""
+        targets = self.file.mission.targets
+        priors_au = np.full((len(targets), 2), np.nan)
+        for index, target in enumerate(targets):
+            if target.prior_au == "simulated":
+                assert self.sim is not None  # load_checked
+                priors_au[index] = self.sim.targets_au[index]
+            elif target.prior_au is not None:
+                priors_au[index] = target.prior_au
+        return priors_au
 
 
 async def _start(
@@ -258,11 +325,11 @@ async def _start(
     folder: RunFolder,
     stack: contextlib.AsyncExitStack,
     request: Request,
+    newest: Newest | None,
     rehearsal: Coroutine[Any, Any, None],
 ) -> Simulator | None:
     """Rehearse while the simulator, where there is one, starts."""
     sim: Simulator | None = None
-    newest = read_newest(folder) if request.resume else None
     try:
         async with asyncio.TaskGroup() as group:
             group.create_task(rehearsal, name="rehearsal")
@@ -273,18 +340,6 @@ async def _start(
         # The first failure cancelled the other.
         raise group_error.exceptions[0] from None
     return sim
-
-
-def _priors(mission: Mission, sim: Simulator | None) -> FloatArray:
-    """Known positions of the targets. -> (N, 2) au, NaN where unknown."""
-    priors_au = np.full((len(mission.targets), 2), np.nan)
-    for index, target in enumerate(mission.targets):
-        if target.prior_au == "simulated":
-            assert sim is not None  # check_flight
-            priors_au[index] = sim.targets_au[index]
-        elif target.prior_au is not None:
-            priors_au[index] = target.prior_au
-    return priors_au
 
 
 def _link(mission: Mission, sim: Simulator | None) -> MavsdkLink:
@@ -303,7 +358,7 @@ def _link(mission: Mission, sim: Simulator | None) -> MavsdkLink:
 def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameSource:
     camera = mission.camera
     if camera.is_simulated:
-        assert sim is not None  # check_flight
+        assert sim is not None  # load_checked
         return SimulatedCamera(sim.camera_url, timeout_s=camera.timeout_s)
     source = int(camera.url) if camera.url.isdigit() else camera.url
     return VideoCamera(source, timeout_s=camera.timeout_s, latency_s=camera.latency_s, clock=link)

@@ -18,23 +18,32 @@ import typer
 
 import dronemon
 from dronemon.errors import DronemonError, OptionError, VehicleError
-from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.terminal import (
-    console,
-    facts_table,
-    forgive_outputs,
-    print_error,
-    print_warning,
+from dronemon.flight_options import (
+    DEFAULT_MISSION,
+    FollowUrl,
+    HistoryLength,
+    HorizonAu,
+    LiveView,
+    MissionArgument,
+    NamedMission,
+    PlannerKind,
+    Resume,
+    RunFolder,
+    Seed,
+    Settings,
+    SpeedUp,
+    Unasked,
+    VehicleUrl,
 )
+from dronemon.terminal import console, facts_table, forgive_outputs, print_error, print_warning
 
 if TYPE_CHECKING:
-    from dronemon.mission import Mission, MissionFile
+    from dronemon.mission import MissionFile
     from dronemon.preflight import Finding
 
 # Nearly all is slow to import, and so imported by the command that needs it.
 
 INTERRUPTED = 130
-_DEFAULT_MISSION = "animals"
 _VERDICT_STYLES = {"go": "green", "warning": "yellow", "no-go": "bold red"}
 
 app = typer.Typer(
@@ -47,59 +56,12 @@ app = typer.Typer(
 _REST = {"allow_extra_args": True, "ignore_unknown_options": True}
 """Settings of a command whose options are read where it is defined."""
 
-MissionArgument = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="[MISSION]",
-        help="Mission file, or name of a shipped mission.",
-        show_default=_DEFAULT_MISSION,
-    ),
-]
-NamedMission = Annotated[str | None, typer.Option("--mission", "-m", help="The same, by name.")]
-VehicleUrl = Annotated[
-    str | None,
-    typer.Option(help="MAVLink URL of a vehicle, such as udpin://127.0.0.1:14540, or `mock`."),
-]
-FollowUrl = Annotated[
-    str | None,
-    typer.Option(
-        help="Second MAVLink URL of that vehicle: simulated animals and camera follow it there."
-    ),
-]
-PlannerKind = Annotated[
-    str | None, typer.Option(help="What chooses the waypoints; see `dronemon planners`.")
-]
-HorizonAu = Annotated[float | None, typer.Option(help="Patrol length in sides.")]
-SpeedUp = Annotated[float | None, typer.Option(help="Speed of the mock, 1 to 20.")]
-Seed = Annotated[int | None, typer.Option(help="Seed of world, roadmap and planner.")]
-LiveView = Annotated[
-    bool | None, typer.Option("--view/--no-view", help="Serve the live view on loopback.")
-]
-RunFolder = Annotated[
-    Path | None, typer.Option(help="Run folder; a new one under runs/ if absent.")
-]
-Resume = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="RUN",
-        help="Go on with a run whose program ended: in the air, unless somebody flies the vehicle, "
-        "or on the ground.",
-    ),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Set a parameter of the vehicle meanwhile, and put it back afterwards.",
-    ),
-]
-Unasked = Annotated[bool, typer.Option("--yes", help="Set parameters without asking.")]
 _OVERRIDES = {
     "vehicle": ("vehicle", "url"),
     "speed_up": ("vehicle", "speed_up"),
     "horizon_au": ("flight", "horizon_au"),
     "planner": ("planner", "kind"),
+    "history": ("planner", "history"),
     "seed": ("simulation", "seed"),
     "view": ("view", "live"),
 }
@@ -108,6 +70,7 @@ _UNCHANGED = {
     "file": "the mission",
     "mission": "--mission",
     "planner": "--planner",
+    "history": "--history",
     "horizon_au": "--horizon-au",
     "seed": "--seed",
     "out": "--out",
@@ -142,6 +105,7 @@ def fly_command(
     vehicle: VehicleUrl = None,
     follow: FollowUrl = None,
     planner: PlannerKind = None,
+    history: HistoryLength = None,
     horizon_au: HorizonAu = None,
     speed_up: SpeedUp = None,
     seed: Seed = None,
@@ -178,6 +142,7 @@ def preflight_command(
     vehicle: VehicleUrl = None,
     follow: FollowUrl = None,
     planner: PlannerKind = None,
+    history: HistoryLength = None,
     horizon_au: HorizonAu = None,
     speed_up: SpeedUp = None,
     seed: Seed = None,
@@ -196,12 +161,12 @@ def preflight_command(
     from dronemon.runner import refusal
 
     request = Request(follow=follow, settings=confirmed, out=out)
-    findings = asyncio.run(assemble_and_inspect(checked, request))
-    _tell_findings(findings)
-    if error := refusal(findings, checked.path):
+    findings = asyncio.run(assemble_and_inspect(checked, request, _tell_findings))
+    if error := refusal(findings, str(checked.path)):
         raise error
     warnings = len(against(findings, Verdict.WARNING))
-    console.print(f"GO, with {warnings} warnings" if warnings else "GO")
+    told = {0: "", 1: ", with 1 warning"}.get(warnings, f", with {warnings} warnings")
+    console.print(f"GO{told}")
 
 
 def _tell_findings(findings: Iterable[Finding]) -> None:
@@ -226,14 +191,42 @@ def check(
     vehicle: VehicleUrl = None,
     follow: FollowUrl = None,
     planner: PlannerKind = None,
+    history: HistoryLength = None,
     horizon_au: HorizonAu = None,
     speed_up: SpeedUp = None,
     seed: Seed = None,
     view: LiveView = None,
 ) -> None:
     """Validate a mission and print what would be flown, without flying."""
+    from dronemon.feasibility import flight_facts
+
     checked = _checked(context)
-    console.print(facts_table(f"{checked.path}: can be flown", _facts(checked.mission)))
+    console.print(facts_table(f"{checked.path}: can be flown", flight_facts(checked.mission)))
+
+
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
+
+
+@app.command("status")
+def status_command(run: RunArgument) -> None:
+    """Tell how far a flight is, from any terminal."""
+    from dronemon.mission import load_mission
+    from dronemon.recorder import MISSION_FILE, RunFolder
+    from dronemon.runner.status import status
+
+    folder = RunFolder.open(run)
+    mission = load_mission(run / MISSION_FILE).mission
+    console.print(facts_table(f"{run}: {mission.name}", status(folder, mission)))
+
+
+@app.command("resume")
+def resume_command(run: RunArgument) -> None:
+    """Say that all are clear of a drone that waits with a fresh battery: it takes off."""
+    from dronemon.recorder import RunFolder
+    from dronemon.runner.status import ask_to_go_on
+
+    ask_to_go_on(RunFolder.open(run))
+    console.print("it goes on")
 
 
 def _resumed(context: typer.Context) -> MissionFile:
@@ -263,7 +256,7 @@ def _checked(context: typer.Context, mission: str | None = None) -> MissionFile:
         for name, key in _OVERRIDES.items()
         if given[name] is not None
     }
-    checked = load_checked((*names, _DEFAULT_MISSION)[0], overrides, given["follow"])
+    checked = load_checked((*names, DEFAULT_MISSION)[0], overrides, given["follow"])
     for doubt in doubts(checked.mission, given["follow"]):
         print_warning(f"planner {checked.mission.planner.kind}: {doubt}")
     return checked
@@ -287,35 +280,6 @@ def _confirmed(texts: Iterable[str], is_unasked: bool) -> dict[str, float]:
         if not typer.confirm(f"Set {text} on the vehicle, and put it back afterwards?"):
             raise OptionError(f"--set {text}: not confirmed; nothing was done")
     return settings
-
-
-def _facts(m: Mission) -> dict[str, str]:
-    """What would be flown, in words."""
-    from dronemon.feasibility import px_per_m
-    from dronemon.mission.checks import outbound_min, return_min, usable_min
-    from dronemon.vision.detector import NEEDED_PX_PER_M
-
-    # Mean distance to one of the k nearest of V random places.
-    leg_au = 2.0 / 3.0 * math.sqrt(m.roadmap.num_neighbours / (math.pi * m.roadmap.num_nodes))
-    return {
-        "targets": ", ".join(f"{t.name} ({t.appearance})" for t in m.targets),
-        "area": f"{m.area.side_m:g} m side, heading {m.area.heading_deg:g} degrees",
-        "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
-        f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m, banked "
-        f"{math.degrees(m.flight.bank_rad):.0f} degrees",
-        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs {NEEDED_PX_PER_M:g}",
-        "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
-        f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
-        "pictures": f"{m.horizon_au / MEASUREMENT_INTERVAL_AU:.0f}, one every "
-        f"{MEASUREMENT_INTERVAL_AU * m.area.side_m:g} m",
-        "roadmap": f"{m.roadmap.num_nodes} nodes; about "
-        f"{m.horizon_au / leg_au:.0f} decisions of a planner that keeps to it",
-        "battery": f"{outbound_min(m):.1f} min until the return, {return_min(m):.1f} min home, of "
-        f"{usable_min(m):.1f} min usable ({m.flight.endurance_min:g} min, landing with "
-        f"{m.flight.reserve_battery:.0%})",
-        "planner": m.planner.kind,
-        "vehicle": m.vehicle.url,
-    }
 
 
 @app.command()
@@ -364,6 +328,14 @@ def schema() -> None:
     kind = document["$defs"]["Planner"]["properties"]["kind"]
     kind["anyOf"] = [{"enum": names}, {"pattern": CLASS_PATTERN}]
     sys.stdout.write(json.dumps(document, indent=2) + "\n")
+
+
+@app.command("explain", add_help_option=False, context_settings=_REST)
+def explain(context: typer.Context) -> None:
+    """Show why a decision of a flight was made: whom, when and where the network looked at."""
+    from dronemon.explain.command import explain_command
+
+    _hand_on(context, explain_command)
 
 
 @app.command("evaluate", add_help_option=False, context_settings=_REST)

@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from dronemon.types import GRAVITY_M_S2
+
 Point = tuple[float, float]
 RETURN_PARAMETERS: Mapping[str, float] = MappingProxyType(
     {
@@ -27,7 +29,6 @@ RETURN_PARAMETERS: Mapping[str, float] = MappingProxyType(
     }
 )
 """What decides how PX4 v1.17 returns, and a multicopter's values as they come."""
-_GRAVITY_M_S2 = 9.80665
 _SETTLE_S = 20.0
 """To turn, to gain and lose speed at each stage, and to be sure of the ground: as PX4 takes."""
 _LEAST = 0.1
@@ -75,7 +76,7 @@ def effort_home_s(
 
 def _push_rate(push_m_s2: float) -> float:
     """Effort per time while the lean pushes sideways so much."""
-    return math.pow(math.hypot(1.0, push_m_s2 / _GRAVITY_M_S2), 1.5)
+    return math.pow(math.hypot(1.0, push_m_s2 / GRAVITY_M_S2), 1.5)
 
 
 def _effort_of_way_s(way_m: Point, p: Mapping[str, float], wind: Wind) -> float:
@@ -85,7 +86,7 @@ def _effort_of_way_s(way_m: Point, p: Mapping[str, float], wind: Wind) -> float:
         return 0.0
     (north, east), (still_n, still_e) = (d / length_m for d in way_m), wind.at_rest_m_s2
     along, across = still_n * north + still_e * east, still_n * east - still_e * north
-    most = _GRAVITY_M_S2 * math.tan(math.radians(min(p["MPC_TILTMAX_AIR"], 80.0)))
+    most = GRAVITY_M_S2 * math.tan(math.radians(min(p["MPC_TILTMAX_AIR"], 80.0)))
     left = math.sqrt(max(most**2 - across**2, 0.0)) - along
     if left <= 0.0:
         return math.inf

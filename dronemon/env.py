@@ -18,7 +18,7 @@ from torch import Tensor
 from dronemon.belief import ObservationStore, fit
 from dronemon.belief.metrics import area_std
 from dronemon.policy import Graphs, Tracks, belief_features, frame_points
-from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU, Prior
 from dronemon.roadmap import Roadmap, laplacian_encoding
 from dronemon.types import FloatArray
 from dronemon.world import Instance, num_due, share_at
@@ -26,15 +26,17 @@ from dronemon.world import Instance, num_due, share_at
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """One episode's terms; where its targets are at the start is known.
+    """One episode's terms.
 
-    num_nodes: the start not counted; speed_ratio: the targets' speed over the agent's.
+    num_nodes: the start not counted; speed_ratio: the targets' speed over the agent's;
+    prior:     what is known of the targets at the start
     """
 
     seed: int
     num_targets: int
     num_nodes: int = 200
     speed_ratio: float = 0.1
+    prior: Prior = "full"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +44,8 @@ class Observation:
     """What the agents know when they stand at a node; padded to the largest V, N and K.
 
     frames:         (B, V, N, 4) float32 mean and std at the nodes now, the same a little later
-    target_mask:    (B, N)       bool    targets that exist
+    target_mask:    (B, N)       bool    targets that are known of, and one imagined, the last,
+                                         where the prior leaves open how many there are
     node:           (B,)         int64   where the agent stands
     neighbours:     (B, K)       int64   nodes it may go to,
     neighbour_mask: (B, K)       bool    where true
@@ -65,7 +68,8 @@ class Step:
 
     observation: after it
     reward:      (B,)   fall of sigma_bar over the leg, summed over the targets where it fell
-    area_std:    (B, N) sigma_bar at the leg's end; NaN for targets that do not exist
+    area_std:    (B, N) sigma_bar at the leg's end: 1 for targets unknown, NaN where there is none,
+                 as of one imagined
     """
 
     observation: Observation
@@ -92,7 +96,9 @@ class Env:
 
     def reset(self, setups: Sequence[Setup]) -> Observation:
         """Begin one episode per setup."""
-        batch, num_targets = len(setups), max(setup.num_targets for setup in setups)
+        is_open = torch.tensor([setup.prior == "none" for setup in setups], device=self._device)
+        num_targets = max(setup.num_targets for setup in setups) + int(is_open.any())
+        batch = len(setups)
         instances = [Instance.draw(setup.seed, setup.num_targets) for setup in setups]
         graphs, nodes_au = [], []
         for setup, i in zip(setups, instances, strict=True):
@@ -101,21 +107,28 @@ class Env:
             graphs.append(Graphs.of(r.nodes_au, laplacian_encoding(r), r.neighbours, r.distance_au))
             nodes_au.append(r.nodes_au)
         self.graphs = Graphs.concatenate(graphs).to(self._device)
-        self._nodes_au = self._stacked(nodes_au)
-        self._waypoints_au = self._stacked([instance.paths.points_au for instance in instances])
+        self._nodes_au = self._stacked(nodes_au, max(map(len, nodes_au)))
+        paths_au = [instance.paths.points_au for instance in instances]
+        self._waypoints_au = self._stacked(paths_au, num_targets)
         steps_au = torch.linalg.vector_norm(self._waypoints_au.diff(dim=2), dim=-1)
         self._marks_au = torch.nn.functional.pad(steps_au.cumsum(dim=-1), (1, 0))
         self._speed_ratio = self._nodes_au.new_tensor([setup.speed_ratio for setup in setups])
         counts = torch.tensor([setup.num_targets for setup in setups], device=self._device)
         self._exists = torch.arange(num_targets, device=self._device) < counts[:, None]
+        is_placed, is_counted = (
+            torch.tensor([s.prior in priors for s in setups], device=self._device)[:, None]
+            for priors in (("full",), ("full", "number"))
+        )
+        is_imagined = torch.arange(num_targets, device=self._device) == num_targets - 1
+        self._known = (self._exists & is_counted) | (is_imagined & is_open[:, None])
         self._rows = torch.arange(batch, device=self._device)
         self._node, self._num_measured = (torch.zeros_like(self._rows) for _ in range(2))
         self._length_au = torch.zeros_like(self._speed_ratio)
         targets_au = self._targets_at(self._length_au)
         self._store = ObservationStore(batch, num_targets, device=self._device)
-        self._store.add_prior(self._exists, targets_au)
+        self._store.add_prior(self._exists & is_placed, targets_au)
         self._tracks = Tracks(batch, num_targets, device=self._device)
-        self._tracks.add_prior(self._exists, targets_au)
+        self._tracks.add_prior(self._exists & is_placed, targets_au)
         self._believe()
         return self._observe()
 
@@ -144,7 +157,7 @@ class Env:
     def observations(self) -> tuple[Tensor, Tensor, Tensor]:
         """What the beliefs are conditioned on, as `fit` takes it: points, values, mask."""
         points, values, counts = self._store.window()
-        return points, values, counts & self._exists[..., None]
+        return points, values, counts & self._known[..., None]
 
     def query(self) -> Tensor:
         """Where beliefs are looked at, the same for all targets. -> (B, 1, 2V, 3) au."""
@@ -177,6 +190,7 @@ class Env:
         seen = (distance_au < SENSOR_RADIUS_AU) & self._exists
         self._tracks.add(time_au, agent_au, seen, targets_au, active)
         self._store.add(time_au, agent_au, seen, targets_au, active)
+        self._known = self._known | (seen & active[:, None])
 
     def _targets_at(self, time_au: Tensor) -> Tensor:
         """Where targets are, as `TargetPaths.positions_au` has it. time_au: (B,) -> (B, N, 2)."""
@@ -204,7 +218,7 @@ class Env:
         neighbours, neighbour_mask = self._neighbours()
         return Observation(
             frames=belief_features(*self._posterior.predict(self.query())),
-            target_mask=self._exists,
+            target_mask=self._known,
             node=self._node,
             neighbours=neighbours,
             neighbour_mask=neighbour_mask,
@@ -212,8 +226,7 @@ class Env:
             tracks=self._tracks.features(self._length_au),
         )
 
-    def _stacked(self, arrays: Sequence[FloatArray]) -> Tensor:
+    def _stacked(self, arrays: Sequence[FloatArray], size: int) -> Tensor:
         """Arrays of different first dimensions in one, the last rows repeated as padding."""
-        longest = max(map(len, arrays))
-        padded = [a[np.arange(longest).clip(max=len(a) - 1)] for a in arrays]
+        padded = [a[np.arange(size).clip(max=len(a) - 1)] for a in arrays]
         return torch.as_tensor(np.stack(padded), device=self._device)

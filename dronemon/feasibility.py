@@ -10,9 +10,12 @@ from dronemon.card import find_checkpoint, read_card
 from dronemon.errors import MissionFileError, OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission
 from dronemon.mission.addresses import parse_udpin
+from dronemon.mission.checks import outbound_min, return_min, usable_min
 from dronemon.mission.document import Overrides, Problem
+from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.vision.detector import NEEDED_PX_PER_M
 
 
@@ -46,12 +49,16 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
 
 
 @cache
-def make_planner(kind: str, checkpoint: str | None) -> Planner:
+def make_planner(of: PlannerSection) -> Planner:
     """The planner of a flight, one a process. Raises OptionError or PolicyError."""
-    planner = None if is_bound(kind) else create_planner(kind, checkpoint=checkpoint)
+    planner = (
+        None
+        if is_bound(of.kind)
+        else create_planner(of.kind, checkpoint=of.checkpoint, history=of.history)
+    )
     if planner is None or isinstance(planner, Clairvoyant):
         raise OptionError(
-            f"{kind!r} must be told the future: it is a bound for `dronemon evaluate`, not a "
+            f"{of.kind!r} must be told the future: it is a bound for `dronemon evaluate`, not a "
             "planner to fly"
         )
     return planner
@@ -76,6 +83,39 @@ def doubts(mission: Mission, follow: str | None) -> list[str]:
 def px_per_m(mission: Mission) -> float:
     """Size on the picture, seen from the patrol's height, of a metre on the ground."""
     return mission.camera.model.focal_px / mission.flight.altitude_m
+
+
+def flight_facts(m: Mission) -> dict[str, str]:
+    """What would be flown, in words."""
+    # Mean distance to one of the k nearest of V random places.
+    leg_au = 2.0 / 3.0 * math.sqrt(m.roadmap.num_neighbours / (math.pi * m.roadmap.num_nodes))
+    return {
+        "targets": ", ".join(f"{t.name} ({t.appearance})" for t in m.targets),
+        "area": f"{m.area.side_m:g} m side, heading {m.area.heading_deg:g} degrees",
+        "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
+        f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m, banked "
+        f"{math.degrees(m.flight.bank_rad):.0f} degrees",
+        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs {NEEDED_PX_PER_M:g}",
+        "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
+        f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
+        "pictures": f"{m.num_pictures}, one every {MEASUREMENT_INTERVAL_AU * m.area.side_m:g} m",
+        "roadmap": f"{m.roadmap.num_nodes} nodes; about "
+        f"{m.horizon_au / leg_au:.0f} decisions of a planner that keeps to it",
+        "battery": f"{outbound_min(m):.1f} min until the return, {return_min(m):.1f} min home, of "
+        f"{usable_min(m):.1f} min usable ({m.flight.endurance_min:g} min, landing with "
+        f"{m.flight.reserve_battery:.0%})",
+        "relay": _relay_fact(m),
+        "planner": m.planner.kind,
+        "vehicle": m.vehicle.url,
+    }
+
+
+def _relay_fact(m: Mission) -> str:
+    if m.flight.relay is None:
+        return "none: one battery, one flight"
+    patrol_min = m.patrol_duration_s / 60.0
+    each_min = usable_min(m) - return_min(m) - outbound_min(m) + patrol_min
+    return f"{m.flight.relay}, about {math.ceil(patrol_min / each_min)} batteries"
 
 
 def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Problem]:
@@ -114,7 +154,7 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
         yield (
             ("flight", "altitude_m"),
             f"no height will do: the camera cannot see what is below the drone {bank}; "
-            "lower max_acceleration_m_s2, or use a camera with a wider view",
+            f"lower {mission.flight.what_banks}, or use a camera with a wider view",
         )
     elif highest_m < needed_m:
         yield (
@@ -123,14 +163,15 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             f"{mission.sensor_radius_m:g} m takes {needed_m:.1f} m of height, but "
             f"above {highest_m:.0f} m a metre is less than the {NEEDED_PX_PER_M:g} pixels that "
             f"the detector needs; make it {side_m * highest_m / needed_m:.0f} m "
-            "or less, lower max_acceleration_m_s2, or use a camera with more pixels",
+            f"or less, lower {mission.flight.what_banks}, or use a camera with more pixels",
         )
     elif altitude_m < needed_m:
         yield (
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too low: the camera must see {mission.sensor_radius_m:g} m "
             f"around the drone (0.1 of the area's side) {bank}, which takes {needed_m:.1f} m at "
-            "its angle of view; fly higher, lower max_acceleration_m_s2, or make the area smaller",
+            f"its angle of view; fly higher, lower {mission.flight.what_banks}, or make the area "
+            "smaller",
         )
     elif altitude_m > highest_m:
         yield (
@@ -144,12 +185,13 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
 
 def _planner_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the planner can be made; ours, which are slow to import, can if their weights can."""
-    kind, checkpoint = mission.planner.kind, mission.planner.checkpoint
+    of = mission.planner
+    is_plain = of.checkpoint is None and of.history is None and of.kind in planner_names()
     try:
-        if has_weights(kind):
-            read_card(find_checkpoint(checkpoint))
-        elif checkpoint is not None or is_bound(kind) or kind not in planner_names():
-            make_planner(kind, checkpoint)
+        if has_weights(of.kind):
+            read_card(find_checkpoint(of.checkpoint))
+        elif is_bound(of.kind) or not is_plain:
+            make_planner(of)
     except OptionError as exc:
         yield ("planner", "kind"), str(exc)
     except PolicyError as exc:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -61,6 +61,11 @@ class Fence:
             edges=hull.equations,
             downs_m=(down_m - margin_m, down_m + min(margin_m, altitude_m / 2.0)),
         )
+
+    def laid_as(self, corners_ned_m: FloatArray) -> Fence:
+        """The fence as it was laid before: (n, 2) corners in order, of a convex polygon."""
+        edges = ConvexHull(corners_ned_m).equations
+        return replace(self, corners_ned_m=corners_ned_m, edges=edges)
 
     def inside_m(self, places_ned_m: FloatArray) -> FloatArray:
         """How far inside places are, less than 0 outside. places_ned_m: (..., 2) -> (...) m."""

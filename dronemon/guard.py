@@ -229,6 +229,7 @@ TABLE = (
         State.ENDED, Action.END, Reason.INTERRUPTED),
     Row(_PREPARING, lambda s: (s.is_armed or not s.is_on_ground) and not s.may_attach,
         State.ENDED, Action.END, Reason.NOT_OURS),
+    Row(_PREPARING, lambda s: s.is_horizon_flown, State.ENDED, Action.END, Reason.HORIZON),
 
     # The mission, until something ends it.
     Row(_LAUNCHING + _PATROLLING, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronemon.types import Pose
+from dronemon.energy import Wind
+from dronemon.types import GRAVITY_M_S2, Pose
 
 Point = tuple[float, float]
 POSITION_GAIN_PER_S = 0.95
@@ -36,7 +37,6 @@ _PREVIEW_S = 0.3
 """Acceleration is the mean over this time to come: the vehicle must tilt first."""
 _ASK_AHEAD_S = 0.25
 """The next leg should be there so long before the carrot would brake for want of it."""
-_GRAVITY_M_S2 = 9.80665
 _DOUBT_M2_S2 = 40.0
 """Squares of velocity changes, summed, that it takes to half believe in a drag; at first, none."""
 _DRAG_MAX_PER_S = 1.0
@@ -232,7 +232,7 @@ class Drag:
             return
         (roll, pitch, yaw), duration_s = pose.attitude_rad, pose.time_s - last.time_s
         forward, right = -math.tan(pitch), math.tan(roll) / math.cos(pitch)
-        push = _GRAVITY_M_S2 * np.array(
+        push = GRAVITY_M_S2 * np.array(
             [
                 forward * math.cos(yaw) - right * math.sin(yaw),
                 forward * math.sin(yaw) + right * math.cos(yaw),
@@ -256,11 +256,11 @@ class Drag:
         return float(min(max(slope, 0.0), _DRAG_MAX_PER_S))
 
     @property
-    def at_rest_m_s2(self) -> Point:
-        """Deceleration (north, east) that is left at rest: the wind's."""
+    def wind(self) -> Wind:
+        """What brakes it: the deceleration that is left at rest, and the slope."""
         lost = self._sums[2:4] - self.per_s * self._sums[:2]
         north, east = lost / (self._num + _DOUBT_POSES)
-        return float(north), float(east)
+        return Wind(at_rest_m_s2=(float(north), float(east)), drag_per_s=self.per_s)
 
 
 def _stretch(tangent: Point) -> float:

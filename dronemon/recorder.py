@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from dronemon.clock import machine_time
 from dronemon.durable import LineWriter, replace_text, write_new
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Event, Measured, Noted
@@ -109,7 +110,7 @@ class RunRecorder:
         """Go on with a run that has ended, or whose program has. Raises RecordError."""
         before = folder.summary()
         head = {
-            "started": before["started"],
+            "started": before.get("started"),
             "resumed": [*before.get("resumed", ()), _stamp("seconds")],
         }
         names = [target.name for target in mission.targets]
@@ -137,7 +138,9 @@ class RunRecorder:
             case Decided():
                 self._append(DECISIONS_FILE, asdict(event))
             case Noted():
+                boot, up_s = machine_time()
                 said: dict[str, object] = {"time_s": event.time_s, "wall": _stamp("milliseconds")}
+                said |= {"boot": boot, "up_s": round(up_s, 3)}
                 said |= {"kind": event.kind, "text": event.text, **event.fields}
                 self._append(EVENTS_FILE, said)
         with self._naming_the_disk():
@@ -240,9 +243,19 @@ class RunFolder:
     @classmethod
     def open(cls, path: Path) -> RunFolder:
         """Open an existing run. Raises RecordError if `path` is not one."""
-        if not (path / SUMMARY_FILE).is_file():
-            raise RecordError(f"{path} is no run folder: it has no {SUMMARY_FILE}")
+        for name in (SUMMARY_FILE, MISSION_FILE, *LINE_FILES):
+            if not (path / name).is_file():
+                raise RecordError(f"{path} is no run folder: it has no {name}")
         return cls(path=path)
+
+    def is_flown(self) -> bool:
+        """Whether a program flies it now."""
+        with (self.path / MISSION_FILE).open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+        return False
 
     @property
     def rrd_path(self) -> Path:
@@ -267,10 +280,9 @@ class RunFolder:
         """Read the summary; its outcome is `in flight` if the program never came to the end."""
         file = self.path / SUMMARY_FILE
         try:
-            summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError as exc:
+            return dict(json.loads(file.read_text(encoding="utf-8")))
+        except (TypeError, ValueError) as exc:
             raise RecordError(f"{file} is damaged: {exc}") from exc
-        return summary
 
     def observations(self) -> Iterator[dict[str, Any]]:
         """Read the measurements in order."""

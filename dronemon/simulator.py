@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from dronemon.errors import VehicleError
+from dronemon.events import TruthTold
 from dronemon.recorder import MISSION_FILE, SIMULATOR_LOG, TRUTH_FILE
 from dronemon.runner.history import Newest
 from dronemon.types import FloatArray
@@ -137,13 +138,14 @@ def held_udp_port() -> Iterator[int]:
         yield holder.getsockname()[1]
 
 
-def read_truth(folder: Path) -> dict[float, FloatArray]:
-    """Where a run's simulator had its animals at each picture: capture time -> (N, 2) au."""
-    truth: dict[float, FloatArray] = {}
+def read_truth(folder: Path) -> list[TruthTold]:
+    """Where a run's simulator had its animals at each picture, in order."""
+    truth: list[TruthTold] = []
     path = folder / TRUTH_FILE
     if path.exists():
         for line in path.read_text(encoding="utf-8").splitlines():
             with contextlib.suppress(ValueError):  # the last line, if the simulator was killed
                 record = json.loads(line)
-                truth[round(record["time_s"], 6)] = np.array(record["targets_au"])
+                places_au = np.array(record["targets_au"])
+                truth.append(TruthTold(time_s=record["time_s"], targets_au=places_au))
     return truth

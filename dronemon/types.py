@@ -20,6 +20,7 @@ BoolArray: TypeAlias = "NDArray[np.bool_]"
 IntArray: TypeAlias = "NDArray[np.int64]"
 ImageArray: TypeAlias = "NDArray[np.uint8]"
 Vector3 = tuple[float, float, float]
+GRAVITY_M_S2 = 9.80665
 Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
 """Animals that the simulator draws and the drawn detector tells apart."""
 APPEARANCES: tuple[str, ...] = get_args(Appearance)

@@ -161,8 +161,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="KIND[=VALUE][@SECONDS][+DURATION]",
-        help="a fault, at once or in vehicle seconds after arming; may be repeated; of the camera "
-        "alone with --follow",
+        help="at once or in vehicle seconds after arming; may be repeated; --follow: of the camera",
     )
     parser.add_argument(
         "--follow",

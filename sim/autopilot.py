@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import math
 import random
+import secrets
 from collections import deque
 from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.frames import GeoPoint
-from dronemon.types import Vector3
+from dronemon.types import GRAVITY_M_S2, Vector3
 from sim.commander import Commander, CommanderInputs
 from sim.control import PositionController, TrajectorySetpoint
-from sim.dynamics import GRAVITY_M_S2, Quadrotor, Wind
+from sim.dynamics import Quadrotor, Wind
 from sim.estimator import READY_AFTER_S, Estimator
 from sim.fence import Geofence
 from sim.geodesy import LocalMap
@@ -48,6 +49,7 @@ class Autopilot:
     noise_m:     error of its estimated position, one sigma per axis
     problems:    arming checks that fail for reasons of their own, as PX4 says them
     breach:      what the fence says, for reasons of its own
+    board:       number of its board, as no other vehicle has it
     """
 
     def __init__(
@@ -75,6 +77,7 @@ class Autopilot:
         self.problems: tuple[str, ...] = ()
         self.breach: str | None = None
         self.battery_level = 1.0
+        self.board = secrets.randbits(63)
         self.num_boots = 0
         self.reboot()
 

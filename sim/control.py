@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 from math import isnan, nan
 
-from dronemon.types import Vector3
-from sim.dynamics import GRAVITY_M_S2
+from dronemon.types import GRAVITY_M_S2, Vector3
 from sim.parameters import Parameters
 
 UNSET: Vector3 = (nan, nan, nan)

@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 import random
 
-from dronemon.types import Pose, Vector3
+from dronemon.types import GRAVITY_M_S2, Pose, Vector3
 
-GRAVITY_M_S2 = 9.80665
 _DRAG_PER_S = 0.15
 """Deceleration per airspeed; 5 m/s of it needs 4.4 degrees of tilt."""
 _ATTITUDE_RAD_S = 12.0

@@ -71,7 +71,7 @@ class MockFlight:
         self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
         self._links: list[MavlinkLink] = []
         self._line_rng = _stream(mission, "line")
-        self._time_s = 0.0
+        self._time_s = self._flown_s = 0.0
         listed = mission_faults(mission, parse_vehicle_fault)
         self.faults = FaultSchedule((*listed, *faults), self._switch)
 
@@ -98,7 +98,7 @@ class MockFlight:
     def scene(self) -> Scene:
         """What there is to see at this instant."""
         pose = self.autopilot.body.pose(self.autopilot.time_s)
-        return self._world.scene(pose, self._frame)
+        return self._world.scene(pose, self._frame, self._time_s)
 
     async def open_links(
         self, remotes: list[tuple[str, int]], signing_key: bytes | None = None
@@ -122,10 +122,18 @@ class MockFlight:
         autopilot = self.autopilot
         autopilot.step()
         self.faults.advance(self._time_s, autopilot.commander.is_armed)
+        self._swap_battery()
         texts = list(autopilot.texts)
         autopilot.texts.clear()
         for link in self._links:
             link.stream(texts)
+
+    def _swap_battery(self) -> None:
+        """Have a fresh battery in place of one that has flown, if that is asked for."""
+        if self.autopilot.commander.is_armed or not self.autopilot.is_landed:
+            self._flown_s = self._time_s
+        elif self._time_s >= self._flown_s + self.faults.active.get("swap", math.inf):
+            self.autopilot.battery_level = 1.0
 
     def flush(self) -> None:
         """Hand everything sent so far to the network."""

@@ -103,7 +103,8 @@ class Follower(asyncio.DatagramProtocol):
         assert self._home_ned_m is not None
         assert self._origin is not None
         frame = self._world.frame(self._home_ned_m, self._origin)
-        return self._world.scene(self._pose(), frame)
+        pose = self._pose()
+        return self._world.scene(pose, frame, pose.time_s)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """Take what the vehicle sends (asyncio's callback)."""

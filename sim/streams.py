@@ -12,9 +12,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from dronemon.types import Vector3
+from dronemon.types import GRAVITY_M_S2, Vector3
 from sim.autopilot import Autopilot
-from sim.dynamics import GRAVITY_M_S2
 from sim.estimator import GPS_LOSS_TOLERATED_S
 from sim.modes import Px4Mode
 
@@ -331,9 +330,10 @@ def _system_time(autopilot: Autopilot) -> Any:
     )
 
 
-def _autopilot_version(_autopilot: Autopilot) -> Any:
+def _autopilot_version(autopilot: Autopilot) -> Any:
+    nothing = [0] * 8
     return mavlink.MAVLink_autopilot_version_message(
-        _CAPABILITIES, _SOFTWARE_VERSION, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1
+        _CAPABILITIES, _SOFTWARE_VERSION, 0, 0, 0, nothing, nothing, nothing, 0, 0, autopilot.board
     )
 
 

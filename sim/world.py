@@ -59,12 +59,12 @@ class World:
             cruise_speed_m_s=self._mission.flight.cruise_speed_m_s,
         )
 
-    def scene(self, pose: Pose, frame: AreaFrame) -> Scene:
+    def scene(self, pose: Pose, frame: AreaFrame, now_s: float) -> Scene:
         """What a camera at `pose` takes a picture of; time that goes back does not count."""
         if self._pictured_s is not None:
-            self._walking_s += max(pose.time_s - self._pictured_s, 0.0)
+            self._walking_s += max(now_s - self._pictured_s, 0.0)
         if frame.height_m(pose.position_ned_m[2]) > AIRBORNE_M or self._pictured_s is not None:
-            self._pictured_s = pose.time_s
+            self._pictured_s = now_s
         walked_au = self.walked_au(self._walking_s)
         places = frame.au_to_ned(self._paths.positions_au(walked_au))
         headings = self._paths.headings_rad(walked_au)

@@ -22,6 +22,8 @@ from simulated_vehicle import (
     free_udp_port,
 )
 
+from dronemon.workers import num_cores
+
 # Numba reads these once. Code for any processor of this architecture rounds alike on all of them,
 # so that decisions can be compared to the last digit.
 os.environ.setdefault("NUMBA_CPU_NAME", "generic")
@@ -74,3 +76,9 @@ def mock_vehicle(tmp_path: Path) -> Iterator[StartMockVehicle]:
             process.kill()
             process.wait()
             process.stdout.close()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than cores: some tests wait for what other processes say."""
+    return min(4, num_cores() + 1)

@@ -166,6 +166,7 @@ class FakeLink:
         self._heartbeat_s, self._heartbeat_due_s = heartbeat_s, 0.0
         self._num_heartbeats, self._beat_at = 0, 0.0
         self.num_resets = 0
+        self.hardware, self.origin = "fake", ORIGIN
         self._misled: dict[str, Any] = {}
         self._state = VehicleState()
         self._poses: list[Pose] = []
@@ -247,9 +248,9 @@ class FakeLink:
             estimate_doubts=(),
             has_sticks=vehicle.has_sticks,
             gps=GpsFix(is_3d=True, num_satellites=14, dilution=0.8),
-            hardware="fake",
+            hardware=self.hardware,
             home=ORIGIN,
-            origin=ORIGIN,
+            origin=self.origin,
             place=ORIGIN,
         )
         self._poses.append(

@@ -21,6 +21,7 @@ RESULT = FlightResult(
     is_landed=True,
     last_seen=None,
     landing_error_m=0.1,
+    landing_battery=0.16,
     tally=None,
     error=None,
 )
@@ -60,8 +61,8 @@ def test_what_fails_after_a_flight_is_told_beside_its_result(tmp_path, monkeypat
     monkeypatch.setattr(assembly, "_start", done)
     monkeypatch.setattr(assembly, "rehearse", lambda *_: None)
     monkeypatch.setattr(assembly, "_link", lambda *_: nothing)
-    monkeypatch.setattr(assembly, "_equip", lambda *_, **rest: SimpleNamespace(**rest))
-    monkeypatch.setattr(assembly, "_fly", done)
+    monkeypatch.setattr(assembly, "_camera", lambda *_: None)
+    monkeypatch.setattr(assembly, "fly_mission", done)
     monkeypatch.setattr(assembly, name, part)
     request = Request(out=tmp_path / "run")
     result, summary = asyncio.run(assemble_and_fly(load_mission(path), request))

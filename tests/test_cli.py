@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import socket
 import subprocess
 import sys
@@ -281,3 +282,24 @@ def test_a_run_folder_is_not_flown_over(run, mission, tmp_path: Path):
     code, _, err = run("fly", "-m", mission(), "--out", str(tmp_path))
     assert code == 6
     assert "already holds a run" in err
+
+
+@pytest.mark.parametrize(("answer", "code"), [("n", 2), ("y", 3)])
+def test_a_parameter_is_set_once_a_person_says_so(mission, tmp_path: Path, answer: str, code: int):
+    vehicle, follow = _silent_urls()
+    path = mission("simulation:", "vehicle:\n  connect_timeout_s: 1.0\nsimulation:")
+    command = [sys.executable, "-m", "dronemon.cli", "fly", path, "--set", "GF_ACTION=3"]
+    person, terminal = pty.openpty()
+    os.write(person, f"{answer}\n".encode())
+    done = subprocess.run(
+        [*command, "--vehicle", vehicle, "--follow", follow, "--out", str(tmp_path / "run")],
+        stdin=terminal,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    os.close(person)
+    os.close(terminal)
+    assert done.returncode == code, done.stderr
+    assert "Set GF_ACTION=3 on the vehicle, and put it back afterwards?" in done.stdout
+    assert ("not confirmed; nothing was done" in done.stderr) == (answer == "n")

@@ -13,7 +13,7 @@ from dronemon.env import Env, Setup
 from dronemon.policy import belief_features
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
-from dronemon.world import Instance, TargetPaths, measure, sample_leg
+from dronemon.world import Instance, Roster, TargetPaths, measure, sample_leg
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -63,7 +63,8 @@ class Walker:
         self.roadmap = Roadmap.random(
             setup.num_nodes, 10, instance.stream("roadmap"), instance.start_au
         )
-        self.sightings = Sightings(self.paths.positions_au(0.0))
+        self.roster = Roster(setup.prior, self.paths.positions_au(0.0))
+        self.sightings = Sightings(self.roster.priors_au)
         self.belief = Belief(self.sightings)
         self.position, self.time, self.residual, self.num_measured = instance.start_au, 0.0, 0.0, 0
 
@@ -73,21 +74,34 @@ class Walker:
         for offset, position in zip(leg.offsets_au, leg.positions_au, strict=True):
             time = self.time + offset
             targets = self.paths.positions_au(self.setup.speed_ratio * time)
-            self.sightings.add(measure(time, position, targets))
+            self.sightings.add(self.roster.tell(measure(time, position, targets)))
             self.num_measured += 1
         self.time += float(np.linalg.norm(goal - self.position))
         self.position, self.residual = goal, leg.residual_au
 
     def frame(self):
+        frame = torch.tensor([0.0, 1.0, 0.0, 1.0])
+        frame = frame.repeat(self.roadmap.num_nodes, self.setup.num_targets, 1)
+        frame[:, self.roster.known] = self.features(self.belief)
+        return frame
+
+    def imagined(self):
+        return self.features(Belief(self.sightings, num_imagined=1))[:, -1]
+
+    def features(self, belief):
         nodes = self.roadmap.nodes_au
         times = np.repeat([self.time, self.time + 2.0], len(nodes))
         query = np.column_stack([np.tile(nodes, (2, 1)), times])
-        return belief_features(*(torch.as_tensor(x) for x in self.belief.posterior(query)))
+        return belief_features(*(torch.as_tensor(x) for x in belief.posterior(query)))
 
     def area_std(self):
-        targets = torch.as_tensor(self.paths.positions_au(self.setup.speed_ratio * self.time))
+        targets = self.paths.positions_au(self.setup.speed_ratio * self.time)[self.roster.known]
         time = torch.full(targets.shape[:1], self.time, dtype=torch.float64)
-        return area_std(self.belief.process, targets[None], time[None])[0]
+        std = torch.ones(self.setup.num_targets, dtype=torch.float64)
+        if self.roster.known:
+            known = area_std(self.belief.process, torch.as_tensor(targets)[None], time[None])[0]
+            std[self.roster.known] = known
+        return std
 
 
 def test_environment_equals_one_vehicle_over_many_short_legs():
@@ -95,6 +109,8 @@ def test_environment_equals_one_vehicle_over_many_short_legs():
         Setup(seed=10_000, num_targets=3, num_nodes=60, speed_ratio=0.1),
         Setup(seed=10_001, num_targets=1, num_nodes=40, speed_ratio=0.9),
         Setup(seed=10_002, num_targets=4, num_nodes=90, speed_ratio=0.0),
+        Setup(seed=10_003, num_targets=3, num_nodes=50, speed_ratio=0.1, prior="number"),
+        Setup(seed=10_005, num_targets=4, num_nodes=60, speed_ratio=0.05, prior="none"),
     ]
     walkers = [Walker(setup) for setup in setups]
     first, steps = rollout(Env(), setups, 90)
@@ -117,7 +133,15 @@ def test_environment_equals_one_vehicle_over_many_short_legs():
             assert step.reward[b].item() == pytest.approx(reward.item(), abs=1e-8)
             assert step.observation.length_au[b].item() == pytest.approx(walker.time, abs=1e-9)
             before[b] = std
+            known = step.observation.target_mask[b].nonzero()[:, 0].tolist()
+            expected = sorted(walker.roster.known)
+            if walker.setup.prior == "none":
+                imagined = step.observation.frames[b, : shape[0], shape[1]]
+                torch.testing.assert_close(imagined, walker.imagined(), rtol=0, atol=1e-6)
+                expected.append(shape[1])
+            assert known == expected
     assert all(walker.num_measured == int(walker.time / 0.1 + 1e-9) for walker in walkers)
+    assert 1 <= len(walkers[4].roster.known) < 4, "found some, not all"
     assert min(walker.time for walker in walkers) > 6.0, "long enough for the window to move"
 
 

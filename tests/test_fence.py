@@ -133,3 +133,12 @@ NOTCH = ((-200.0, -200.0), (-200.0, 200.0), (200.0, 200.0), (200.0, 1.0), (-150.
 )
 def test_the_vehicles_own_areas_allow_it_or_not(area, allows):
     assert area.allows(_fence(), ORIGIN) is allows
+
+
+def test_a_fence_can_be_that_which_was_laid_before():
+    now, before = _fence((20.0, 30.0)), _fence((0.0, 200.0), margin_m=40.0)
+    laid = now.laid_as(before.corners_ned_m)
+    assert laid.corners_deg(ORIGIN) == before.corners_deg(ORIGIN)
+    assert laid.downs_m == now.downs_m
+    places_m = np.random.default_rng(0).uniform(-300.0, 300.0, (50, 2))
+    np.testing.assert_allclose(laid.inside_m(places_m), before.inside_m(places_m), atol=1e-6)

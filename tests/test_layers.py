@@ -44,6 +44,8 @@ LAYERS = {
     "evaluation": 4,
     "assembly": 5,
     "cli": 5,
+    "flight_options": 1,
+    "explain": 5,
     "feasibility": 5,
     "simulator": 5,
 }
@@ -71,7 +73,7 @@ PLACES = {
     "rerun": {"viz"},
     "cv2": {"vision", "camera"},
     "pymavlink": {"vehicle"},
-    "matplotlib": {"evaluation"},
+    "matplotlib": {"evaluation", "explain"},
 }
 
 

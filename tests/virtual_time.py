@@ -13,6 +13,8 @@ from collections.abc import Callable, Coroutine
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
+from dronemon.runner.daemon import BUSY
+
 T = TypeVar("T")
 _hanging: set[threading.Thread] = set()
 
@@ -64,9 +66,9 @@ class _JumpingSelector(selectors.DefaultSelector):
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         if timeout is None:  # only while the loop closes
             return super().select(1.0)
-        is_thinking = any(
-            thread.name == "foreign" and thread not in _hanging for thread in threading.enumerate()
-        )
+        busy = {thread for thread in threading.enumerate() if thread.name == BUSY}
+        _hanging.intersection_update(busy)
+        is_thinking = bool(busy - _hanging)
         ready = super().select(0.0)
         if ready or timeout <= 0.0:
             return ready

@@ -80,10 +80,14 @@ class ObservationStore:
 class Belief:
     """What one vehicle believes about all its targets: read off the mission's log of sightings.
 
-    The fit is kept until the log grows.
+    The fit is kept until the log grows. num_imagined: targets believed in, after those known of,
+    that were never seen
     """
 
-    def __init__(self, sightings: Sightings, kernel: Matern32 | None = None) -> None:
+    def __init__(
+        self, sightings: Sightings, kernel: Matern32 | None = None, *, num_imagined: int = 0
+    ) -> None:
+        self._num_imagined = num_imagined
         self.sightings = sightings
         self.kernel = kernel if kernel is not None else Matern32()
         self._posterior: Posterior | None = None
@@ -92,13 +96,13 @@ class Belief:
     @property
     def num_targets(self) -> int:
         """Targets believed in."""
-        return self.sightings.num_targets
+        return self.sightings.num_targets + self._num_imagined
 
     @property
     def process(self) -> Posterior:
         """The fitted processes, of shape (1, N)."""
         if self._posterior is None or self._num_read < len(self.sightings):
-            window = self.sightings.window(self.kernel.window_au)
+            window = self.sightings.window(self.kernel.window_au, self.num_targets)
             points, values, mask = (torch.as_tensor(array)[None] for array in window)
             self._posterior = fit(points, values, mask, kernel=self.kernel)
             self._num_read = len(self.sightings)

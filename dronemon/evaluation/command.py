@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, TypeVar, cast
@@ -13,18 +14,23 @@ import typer
 from dronemon.errors import OptionError
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import (
-    TABLE1_INSTANCES,
-    TABLE1_SPEED_RATIOS,
-    TABLE1_TARGETS,
+    FIGURE5,
+    PAPER_INSTANCES,
+    TABLE1,
+    TABLE2,
+    TABLE2_PLANNERS,
     Options,
     PlannerSpec,
+    Sweep,
 )
+from dronemon.planner import has_weights
 from dronemon.problem import Prior
 from dronemon.terminal import LenientConsole, console
 from dronemon.workers import num_cores
 
 T = TypeVar("T")
 DEFAULT_INSTANCES = 16
+DEFAULT_PLANNERS = "tsp,lawnmower"
 INTERRUPTED = 130
 """Exit code of a run that was told to stop, as a shell's for Ctrl-C."""
 
@@ -38,9 +44,18 @@ OutOption = Annotated[
     ),
 ]
 PlannersOption = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="Planners, separated by commas: names, name:checkpoint, package.module:Class."
+        help="Planners, separated by commas: names, name:checkpoint, package.module:Class; "
+        "@50 after a learned one has it look back 50 decisions.",
+        show_default=f"{DEFAULT_PLANNERS}; what the paper's table or figure compares",
+    ),
+]
+HistoryOption = Annotated[
+    str | None,
+    typer.Option(
+        help="How many decisions learned planners look back, such as 1,25,100; each is a row.",
+        show_default="100",
     ),
 ]
 TargetsOption = Annotated[
@@ -60,55 +75,106 @@ PriorsOption = Annotated[
 InstancesOption = Annotated[
     int | None,
     typer.Option(
-        help="Instances per cell; one seed is one instance.", show_default="16; 100 with --table1"
+        help="Instances per cell; one seed is one instance.",
+        show_default="16; 100 for the paper's tables and figure",
     ),
 ]
 FirstSeedOption = Annotated[int, typer.Option(help="Seed of the first instance.")]
 Table1Option = Annotated[
     bool, typer.Option("--table1", help="All 16 cells of the paper's Table I.")
 ]
+Table2Option = Annotated[
+    bool, typer.Option("--table2", help="The paper's Table II: roadmap sizes and histories.")
+]
+Figure5Option = Annotated[
+    bool, typer.Option("--figure5", help="The paper's Figure 5: what is known at the start.")
+]
 HorizonOption = Annotated[float, typer.Option(help="Distance flown per episode, in au.")]
-NodesOption = Annotated[int, typer.Option(help="Nodes of the roadmap.")]
+NodesOption = Annotated[
+    str | None, typer.Option(help="Nodes of the roadmap, such as 50,200.", show_default="200")
+]
 SaveOption = Annotated[
     bool, typer.Option("--save-episodes", help="Keep the arrays of every episode.")
 ]
 WorkersOption = Annotated[int | None, typer.Option(help="Processes.", show_default="one per core")]
 
 
+_OF_THE_PAPER = {
+    "--table1": (TABLE1, DEFAULT_PLANNERS),
+    "--table2": (TABLE2, ",".join(TABLE2_PLANNERS)),
+    "--figure5": (FIGURE5, "search,stamp"),
+}
+"""Option -> what it goes through, and the planners that it compares."""
+
+
 def evaluate_command(
     out: OutOption,
-    planner: PlannersOption = "tsp,lawnmower",
+    planner: PlannersOption = None,
+    history: HistoryOption = None,
     targets: TargetsOption = None,
     speed: SpeedsOption = None,
     prior: PriorsOption = None,
+    nodes: NodesOption = None,
     instances: InstancesOption = None,
     first_seed: FirstSeedOption = 0,
     table1: Table1Option = False,
+    table2: Table2Option = False,
+    figure5: Figure5Option = False,
     horizon: HorizonOption = 30.0,
-    nodes: NodesOption = 200,
     save_episodes: SaveOption = False,
     workers: WorkersOption = None,
 ) -> None:
     """Measure planners on simulated instances, and compare them with the paper's figures."""
-    if table1 and (targets, speed, prior) != (None, None, None):
-        raise OptionError("--table1 sets --targets, --speed and --prior; leave them out")
-    default_instances = TABLE1_INSTANCES if table1 else DEFAULT_INSTANCES
+    asked = {"--table1": table1, "--table2": table2, "--figure5": figure5}
+    chosen = [option for option, is_asked in asked.items() if is_asked]
+    own = targets, speed, prior, nodes
+    if len(chosen) > 1 or (chosen and own != (None, None, None, None)):
+        raise OptionError(
+            f"{chosen[0]} sets --targets, --speed, --prior and --nodes, and goes with no other of "
+            f"{', '.join(asked)}; leave them out"
+        )
+    sweep, planners = _OF_THE_PAPER[chosen[0]] if chosen else (_sweep(*own), DEFAULT_PLANNERS)
+    default_instances = PAPER_INSTANCES if chosen else DEFAULT_INSTANCES
     options = Options(
-        planners=_each(planner, "--planner", PlannerSpec.parse),
+        planners=_planners(planners if planner is None else planner, history),
         out=out,
-        targets=TABLE1_TARGETS if table1 else _each(targets or "4", "--targets", int),
-        speed_ratios=(
-            TABLE1_SPEED_RATIOS if table1 else _each(speed or "1/10", "--speed", Fraction)
-        ),
-        priors=_each(prior or "full", "--prior", lambda text: cast("Prior", text)),
+        sweep=sweep,
         instances=instances if instances is not None else default_instances,
         first_seed=first_seed,
         horizon_au=horizon,
-        num_nodes=nodes,
         save_episodes=save_episodes,
         workers=workers if workers is not None else num_cores(),
     )
     _evaluate(options)
+
+
+def _sweep(targets: str | None, speed: str | None, prior: str | None, nodes: str | None) -> Sweep:
+    """What the options of these names say to go through."""
+    usual = Sweep()
+    return Sweep(
+        targets=_each(targets, "--targets", int) if targets else usual.targets,
+        speed_ratios=_each(speed, "--speed", Fraction) if speed else usual.speed_ratios,
+        priors=(
+            _each(prior, "--prior", lambda text: cast("Prior", text)) if prior else usual.priors
+        ),
+        nodes=_each(nodes, "--nodes", int) if nodes else usual.nodes,
+    )
+
+
+def _planners(text: str, history: str | None) -> tuple[PlannerSpec, ...]:
+    """The planners named; of a learned one that names no history itself, one with each of these."""
+    specs = _each(text, "--planner", PlannerSpec.parse)
+    if history is None:
+        return specs
+    told = [spec for spec in specs if has_weights(spec.kind) and spec.history is None]
+    if not told:
+        raise OptionError(f"--history {history}: no planner of {text} looks back and has none yet")
+    histories = _each(history, "--history", int)
+    return tuple(
+        replace(spec, history=each)
+        for spec in specs
+        for each in (histories if spec in told else (spec.history,))
+    )
 
 
 def _evaluate(options: Options) -> None:

@@ -20,8 +20,8 @@ from dronemon.planner.motion import waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, Prior
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
-from dronemon.types import BoolArray, FloatArray, Measurement
-from dronemon.world import Instance, measure, sample_leg
+from dronemon.types import BoolArray, FloatArray
+from dronemon.world import Instance, Roster, measure, sample_leg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,11 +123,9 @@ class _Agent:
         self.position_au = start_au
         self._residual_au = 0.0
         self._node: int | None = 0  # the roadmap's first node is the start
-        first_au, num_targets = self._targets_au[0], self._targets_au.shape[1]
-        self._observed = [np.zeros(num_targets, dtype=np.bool_)]
-        self._known = [] if told == "none" else list(range(num_targets))
-        places_au = first_au if told == "full" else np.full_like(first_au, np.nan)
-        self._sightings = Sightings(places_au[self._known])
+        self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
+        self._roster = Roster(told, self._targets_au[0])
+        self._sightings = Sightings(self._roster.priors_au)
         self._belief = Belief(self._sightings)
 
     def brief(self, rng: np.random.Generator) -> Briefing:
@@ -169,21 +167,8 @@ class _Agent:
             truth = measure(float(self._times_au[index]), position_au, self._targets_au[index])
             self._agent_au.append(position_au)
             self._observed.append(truth.seen)
-            self._learn(truth)
+            self._sightings.add(self._roster.tell(truth))
         self.position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
-
-    def _learn(self, truth: Measurement) -> None:
-        """Let targets join that are seen for the first time; log what was seen of those known."""
-        seen = np.flatnonzero(truth.seen).tolist()
-        self._known += [target for target in seen if target not in self._known]
-        self._sightings.add(
-            Measurement(
-                time_au=truth.time_au,
-                agent_au=truth.agent_au,
-                seen=truth.seen[self._known],
-                target_au=truth.target_au[self._known],
-            )
-        )
 
     def episode(self, decisions_s: FloatArray) -> Episode:
         """Give the record of a finished episode."""

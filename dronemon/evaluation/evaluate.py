@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from fractions import Fraction
 from functools import cache, partial
@@ -14,17 +14,19 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from dronemon.errors import RecordError
 from dronemon.evaluation.episode import Episode, fly_episode
-from dronemon.evaluation.options import EpisodeSpec, Options, PlannerSpec
+from dronemon.evaluation.options import EpisodeSpec, Key, Options, PlannerSpec
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, append_result, load_results
+from dronemon.evaluation.sections import table2_rows
+from dronemon.evaluation.tables import average_by_cell
 from dronemon.planner import Planner, create_planner
 from dronemon.terminal import LenientConsole
 from dronemon.version import code_version
 from dronemon.workers import share_out
 from dronemon.world import Instance
 
-PUBLISHED_CONDITIONS = (30.0, 200)
-"""Horizon in au and number of nodes of the paper's Table I."""
+PUBLISHED_HORIZON_AU = 30.0
+"""Of the paper's tables."""
 
 
 def evaluate(options: Options, console: LenientConsole | None = None) -> list[Result]:
@@ -47,22 +49,52 @@ def evaluate(options: Options, console: LenientConsole | None = None) -> list[Re
     missing = [s for s in specs if s.key not in results or (s.path and not s.path.is_file())]
     again = set(missing)
     _warn_of_other_code([results[spec.key] for spec in specs if spec not in again], path, console)
-    flights = share_out(partial(_run, code=code_version()), missing, options.workers)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    bars = Progress(*columns, TimeRemainingColumn(), console=console)
-    with bars as progress, closing(flights) as flown:
-        bar = progress.add_task("episodes", total=len(specs), completed=len(specs) - len(missing))
+    with closing(_flown(missing, len(specs), options, console)) as flown:
         for result in flown:
             append_result(path, result)
             results[result.key] = result
-            progress.advance(bar)
-    finished = [results[spec.key] for spec in specs]
-    is_as_published = (options.horizon_au, options.num_nodes) == PUBLISHED_CONDITIONS
-    verdicts = write_tables(finished, options.out, options.command, is_as_published=is_as_published)
+    others = list(_of_others(results, specs))
+    finished = [*(results[spec.key] for spec in specs), *others]
+    verdicts = write_tables(
+        finished,
+        options.out,
+        options.command,
+        is_as_published=options.horizon_au == PUBLISHED_HORIZON_AU,
+        kept=list(dict.fromkeys(result.method for result in others)),
+    )
     for verdict in verdicts:
         console.print(verdict, soft_wrap=True, markup=False)
     _draw(finished, options)
     return finished
+
+
+def _flown(
+    missing: Sequence[EpisodeSpec], num_specs: int, options: Options, console: LenientConsole
+) -> Generator[Result]:
+    """Fly what is missing, under a progress bar over all."""
+    flights = share_out(partial(_run, code=code_version()), missing, options.workers)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    bars = Progress(*columns, TimeRemainingColumn(), console=console)
+    with bars as progress, closing(flights) as flown:
+        bar = progress.add_task("episodes", total=num_specs, completed=num_specs - len(missing))
+        for result in flown:
+            yield result
+            progress.advance(bar)
+
+
+def _of_others(results: Mapping[Key, Result], specs: Sequence[EpisodeSpec]) -> Iterator[Result]:
+    """Episodes of planners not named now that an earlier run left, of these cells and instances."""
+    named = {spec.planner.method for spec in specs}
+    asked = {(spec.cell, spec.seed, len(spec.conditions.times_au) - 1) for spec in specs}
+    kept = [
+        result
+        for result in results.values()
+        if result.method not in named
+        and result.found_over_time  # older lines do not tell how many nodes they had
+        and (result.cell, result.seed, len(result.unc_over_time)) in asked
+    ]
+    newest = {result.method: result.settings for result in kept}  # the same weights in all cells
+    yield from (result for result in kept if result.settings == newest[result.method])
 
 
 def fly_spec(spec: EpisodeSpec) -> Episode:
@@ -77,11 +109,18 @@ def _draw(results: Sequence[Result], options: Options) -> None:
     Its cell is that of the paper's figure 4, or the nearest to it.
     """
     # Imported here: matplotlib would slow the start of every worker and every other command.
-    from dronemon.evaluation.figures import draw_overview, draw_traces, draw_unc_over_time
+    from dronemon.evaluation import figures
 
-    draw_unc_over_time(results, options.out / "unc_over_time.png")
+    out = options.out
+    figures.draw_over_time(results, lambda r: r.unc_over_time, "Unc", out / "unc_over_time.png")
+    if unplaced := [r for r in results if r.cell.prior == "none"]:
+        found = "share of targets found"
+        path = out / "found_over_time.png"
+        figures.draw_over_time(unplaced, lambda r: r.found_over_time, found, path)
+    if flown := table2_rows(average_by_cell(results)):
+        figures.draw_table2(flown, out / "table2.png")
     cell = min(
-        options.cells,
+        options.sweep.cells,
         key=lambda cell: (abs(cell.num_targets - 4), abs(cell.speed_ratio - Fraction(1, 20))),
     )
     specs = [options.episode(planner, cell, options.first_seed) for planner in options.planners]
@@ -89,10 +128,9 @@ def _draw(results: Sequence[Result], options: Options) -> None:
     episodes = dict(zip(methods, share_out(fly_spec, specs, 1), strict=True))
     uncertainties = {method: episode.metrics().unc for method, episode in episodes.items()}
     title = f"N = {cell.num_targets}, $r_v$ = {cell.speed_ratio}, seed {options.first_seed}"
-    draw_traces(uncertainties, title, options.out / "traces.png")
-    method, episode = next(iter(episodes.items()))
-    instant = (len(episode.agent_au) - 1) * 2 // 3
-    draw_overview(episode, instant, f"{method}: {title}", options.out / "overview.png")
+    figures.draw_traces(uncertainties, title, out / "traces.png")
+    instant = (len(specs[0].conditions.times_au) - 1) * 2 // 3
+    figures.draw_overview(episodes, instant, title, out / "overview.png")
 
 
 def _warn_of_other_code(kept: Sequence[Result], path: Path, console: LenientConsole) -> None:
@@ -112,7 +150,7 @@ def _warn_of_other_code(kept: Sequence[Result], path: Path, console: LenientCons
 @cache
 def _planner(spec: PlannerSpec, settings: str) -> Planner:
     """One planner serves all episodes of a process; `settings` changes with its weights."""
-    return create_planner(spec.kind, checkpoint=spec.checkpoint)
+    return create_planner(spec.kind, checkpoint=spec.checkpoint, history=spec.history)
 
 
 def _run(spec: EpisodeSpec, *, code: str) -> Result:
@@ -132,6 +170,7 @@ def _run(spec: EpisodeSpec, *, code: str) -> Result:
                 observed=episode.observed,
             )
         partial.replace(path)
+    found = np.logical_or.accumulate(metrics.observed)
     return Result(
         method=spec.planner.method,
         cell=spec.cell,
@@ -139,6 +178,7 @@ def _run(spec: EpisodeSpec, *, code: str) -> Result:
         settings=spec.settings,
         scores=metrics.scores,
         unc_over_time=tuple(metrics.unc[1:].mean(axis=1).round(5).tolist()),
+        found_over_time=tuple(found[1:].mean(axis=1).round(5).tolist()),
         decisions=len(episode.decisions_s),
         decision_s=float(episode.decisions_s.mean()),
         code=code,

@@ -6,21 +6,24 @@ Source: paper, figures 1 and 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Circle
 
 from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.belief.metrics import GRID_SIZE
 from dronemon.evaluation.episode import Episode
-from dronemon.evaluation.options import Cell
+from dronemon.evaluation.options import DEFAULT_NODES, Cell
 from dronemon.evaluation.results import Result
+from dronemon.evaluation.sections import TABLE2_ROWS, published_table2
+from dronemon.evaluation.tables import Row
 from dronemon.problem import LOST_STD, MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
@@ -30,10 +33,16 @@ LINE_STYLES = {"full": "-", "number": "--", "none": ":"}
 COLOURS = colormaps["tab10"]
 MAX_COLUMNS = 5
 DOTS_PER_INCH = 110
+LEGEND_ENTRY_INCH = 2.2
 
 
-def draw_unc_over_time(results: Sequence[Result], path: Path) -> None:
-    """Draw mean uncertainty over the mission, a panel per number of targets and speed ratio."""
+def draw_over_time(
+    results: Sequence[Result], value: Callable[[Result], Sequence[float]], label: str, path: Path
+) -> None:
+    """Draw means over instances with their standard errors, a panel per targets and speed ratio.
+
+    value: (S,) of an episode at each measurement; label: what it is
+    """
     counts = sorted({result.cell.num_targets for result in results})
     speeds = sorted({result.cell.speed_ratio for result in results})
     methods = list(dict.fromkeys(result.method for result in results))
@@ -41,30 +50,77 @@ def draw_unc_over_time(results: Sequence[Result], path: Path) -> None:
         figsize=(3.2 * len(speeds) + 1.0, 2.4 * len(counts) + 0.8), layout="constrained"
     )
     panels = figure.subplots(len(counts), len(speeds), sharex=True, sharey=True, squeeze=False)
-    groups: dict[tuple[Cell, str], list[tuple[float, ...]]] = {}
+    groups: dict[tuple[Cell, str], list[Sequence[float]]] = {}
     for result in results:
-        groups.setdefault((result.cell, result.method), []).append(result.unc_over_time)
+        groups.setdefault((result.cell, result.method), []).append(value(result))
     for (cell, method), curves in groups.items():
         panel = panels[counts.index(cell.num_targets), speeds.index(cell.speed_ratio)]
         mean = np.mean(curves, axis=0)
-        panel.plot(
-            MEASUREMENT_INTERVAL_AU * np.arange(1, len(mean) + 1),
-            mean,
-            LINE_STYLES[cell.prior],
-            color=COLOURS(methods.index(method) % 10),
-            linewidth=1.0,
-            label=method if cell.prior == "full" else f"{method}, prior: {cell.prior}",
-        )
+        times_au = MEASUREMENT_INTERVAL_AU * np.arange(1, len(mean) + 1)
+        colour = COLOURS(methods.index(method) % 10)
+        style, name = LINE_STYLES[cell.prior], _name(method, cell)
+        panel.plot(times_au, mean, style, color=colour, linewidth=1.0, label=name)
+        if len(curves) > 1:
+            error = np.std(curves, axis=0, ddof=1) / math.sqrt(len(curves))
+            panel.fill_between(times_au, mean - error, mean + error, color=colour, alpha=0.2, lw=0)
         panel.set_title(f"N = {cell.num_targets}, $r_v$ = {cell.speed_ratio}", fontsize=9)
+    _add_legend(figure, panels.flat)
+    figure.supxlabel("trajectory length (au)")
+    figure.supylabel(label)
+    _save(figure, path)
+
+
+def _name(method: str, cell: Cell) -> str:
+    """What a legend calls a method in a cell."""
+    prior = "" if cell.prior == "full" else f", prior: {cell.prior}"
+    return method + prior + ("" if cell.num_nodes == DEFAULT_NODES else f", V = {cell.num_nodes}")
+
+
+def _add_legend(figure: Figure, panels: Iterable[Axes]) -> None:
+    """One legend of all panels, above them."""
     handles = {
         label: handle
-        for panel in panels.flat
+        for panel in panels
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4)
-    figure.supxlabel("trajectory length (au)")
-    figure.supylabel("Unc")
+    num_columns = max(1, int(figure.get_figwidth() / LEGEND_ENTRY_INCH))
+    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=num_columns)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write PNG, and SVG beside it."""
     figure.savefig(path, dpi=DOTS_PER_INCH)
+    figure.savefig(path.with_suffix(".svg"))
+
+
+def draw_table2(flown: Mapping[str, Mapping[Cell, Row]], path: Path) -> None:
+    """Draw JSD over the roadmap's size, a line per method, the paper's dashed.
+
+    flown: method -> cell of Table II -> row
+    """
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    panel = figure.subplots()
+    published = published_table2()
+    for index, (method, rows) in enumerate(flown.items()):
+        colour, sizes = COLOURS(index % 10), [cell.num_nodes for cell in rows]
+        jsd = [row.figures["jsd"] for row in rows.values()]
+        panel.errorbar(
+            sizes,
+            [estimate.mean for estimate in jsd],
+            yerr=[estimate.standard_error for estimate in jsd],
+            color=colour,
+            linewidth=1.0,
+            capsize=2.0,
+            label=method,
+        )
+        if name := TABLE2_ROWS.get(method):
+            paper = published[name]
+            label = f"paper: {name}"
+            panel.plot(list(paper), list(paper.values()), "--", color=colour, lw=0.8, label=label)
+    _add_legend(figure, [panel])
+    panel.set_xlabel("nodes of the roadmap")
+    panel.set_ylabel("JSD")
+    _save(figure, path)
 
 
 def draw_traces(uncertainties: Mapping[str, FloatArray], title: str, path: Path) -> None:
@@ -83,23 +139,36 @@ def draw_traces(uncertainties: Mapping[str, FloatArray], title: str, path: Path)
     figure.suptitle(f"Uncertainty over each target area: {title}")
     figure.supxlabel("trajectory length (au)")
     figure.supylabel(r"$\overline{\sigma}_i$")
-    figure.savefig(path, dpi=DOTS_PER_INCH)
+    _save(figure, path)
 
 
-def draw_overview(episode: Episode, instant: int, title: str, path: Path) -> None:
-    """Draw the belief of each target, the path flown, the truth, and distances over time.
+def draw_overview(episodes: Mapping[str, Episode], instant: int, title: str, path: Path) -> None:
+    """Draw, per method, each target's belief, the path flown, the truth, and distances over time.
 
-    instant: index of the measurement at which the belief is shown
+    instant: index of the measurement at which beliefs are shown
     """
-    num_targets = episode.targets_au.shape[1]
+    num_targets = max(episode.targets_au.shape[1] for episode in episodes.values())
     num_columns = min(num_targets + 1, MAX_COLUMNS)
     num_rows = math.ceil((num_targets + 1) / num_columns)
-    figure = Figure(figsize=(2.5 * num_columns, 2.7 * num_rows + 2.2), layout="constrained")
-    grid = figure.add_gridspec(num_rows + 1, num_columns, height_ratios=[1.3] * num_rows + [1.0])
+    height = 2.7 * num_rows + 2.2
+    figure = Figure(figsize=(2.5 * num_columns, height * len(episodes)), layout="constrained")
+    parts = figure.subfigures(len(episodes), 1, squeeze=False)[:, 0]
+    for part, (method, episode) in zip(parts, episodes.items(), strict=True):
+        grid = part.add_gridspec(num_rows + 1, num_columns, height_ratios=[1.3] * num_rows + [1.0])
+        _draw_beliefs(part, grid, episode, instant)
+        _draw_distances(part.add_subplot(grid[num_rows, :]), episode, instant)
+        part.suptitle(f"{method}: {title}")
+    _add_legend(figure, [panel for part in parts for panel in part.axes])
+    _save(figure, path)
+
+
+def _draw_beliefs(part: SubFigure, grid: GridSpec, episode: Episode, instant: int) -> None:
+    """A panel per target, and one of all of them."""
+    num_targets = episode.targets_au.shape[1]
     mean = believe(episode, instant)
     (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
     for index in range(num_targets + 1):
-        panel = figure.add_subplot(grid[index // num_columns, index % num_columns])
+        panel = part.add_subplot(grid[index // grid.ncols, index % grid.ncols])
         is_all = index == num_targets
         field = mean.max(axis=0) if is_all else mean[index]
         panel.imshow(
@@ -115,12 +184,10 @@ def draw_overview(episode: Episode, instant: int, title: str, path: Path) -> Non
             path_au = episode.agent_au[: instant + 1]
             panel.plot(path_au[:, 0], path_au[:, 1], color="white", linewidth=0.8, alpha=0.6)
         _draw_agent(panel, episode.agent_au[instant])
+        panel.set(xlim=(left, right), ylim=(bottom, top))
         panel.set_title("all targets" if is_all else f"target {index + 1}", fontsize=9)
         panel.set_xticks([])
         panel.set_yticks([])
-    _draw_distances(figure.add_subplot(grid[num_rows, :]), episode, instant)
-    figure.suptitle(title)
-    figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
 def believe(episode: Episode, instant: int) -> FloatArray:
@@ -150,15 +217,16 @@ def _draw_truth(panel: Axes, episode: Episode, instant: int, targets: Sequence[i
     for target in targets:
         x, y = episode.targets_au[instant, target].tolist()
         colour = COLOURS(target % 10)
-        panel.plot(x, y, "s", color=colour, markersize=4)
+        panel.plot(x, y, "s", color=colour, markersize=4, label=f"target {target + 1}, truly")
         panel.add_patch(Circle((x, y), SENSOR_RADIUS_AU, fill=False, color=colour, linestyle=":"))
 
 
 def _draw_agent(panel: Axes, agent_au: FloatArray) -> None:
     """Mark the agent and its field of view."""
     x, y = agent_au.tolist()
-    panel.plot(x, y, "o", color="cyan", markersize=4)
-    panel.add_patch(Circle((x, y), SENSOR_RADIUS_AU, fill=False, color="yellow"))
+    panel.plot(x, y, "o", color="cyan", markersize=4, label="drone")
+    circle = Circle((x, y), SENSOR_RADIUS_AU, fill=False, color="yellow", label="what it sees")
+    panel.add_patch(circle)
 
 
 def _draw_distances(panel: Axes, episode: Episode, instant: int) -> None:

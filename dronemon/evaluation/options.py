@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,22 +17,21 @@ from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
 from dronemon.planner import create_planner, has_weights, planner_names
-from dronemon.problem import Prior
+from dronemon.problem import MAX_HISTORY, Prior
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
-TABLE1_TARGETS = (2, 4, 6, 8)
-TABLE1_SPEED_RATIOS = (Fraction(1, 30), Fraction(1, 20), Fraction(1, 10), Fraction(1, 7))
-TABLE1_INSTANCES = 100
 MAX_TARGETS = 100
+DEFAULT_NODES = 200
 
 
 @dataclass(frozen=True, slots=True, order=True, kw_only=True)
 class Cell:
-    """One field of the table: what is known at the start, how many targets, and how fast."""
+    """One field of a table: what is known at the start, targets and their speed, roadmap nodes."""
 
     prior: Prior
     num_targets: int
     speed_ratio: Fraction
+    num_nodes: int = DEFAULT_NODES
 
 
 Key = tuple[str, Cell, int, str]
@@ -39,29 +39,78 @@ Key = tuple[str, Cell, int, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Sweep:
+    """Values of what a table or a figure goes through; cells are all their combinations."""
+
+    targets: tuple[int, ...] = (4,)
+    speed_ratios: tuple[Fraction, ...] = (Fraction(1, 10),)
+    priors: tuple[Prior, ...] = ("full",)
+    nodes: tuple[int, ...] = (DEFAULT_NODES,)
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All combinations, in the order in which values were named."""
+        return [
+            Cell(prior=prior, num_targets=count, speed_ratio=speed, num_nodes=nodes)
+            for prior in self.priors
+            for count in self.targets
+            for speed in self.speed_ratios
+            for nodes in self.nodes
+        ]
+
+
+TABLE1 = Sweep(
+    targets=(2, 4, 6, 8),
+    speed_ratios=(Fraction(1, 30), Fraction(1, 20), Fraction(1, 10), Fraction(1, 7)),
+)
+TABLE2 = Sweep(nodes=(50, 100, 150, 200, 300, 400))
+FIGURE5 = Sweep(targets=(4, 6), speed_ratios=(Fraction(1, 20),), priors=PRIORS)
+PAPER_INSTANCES = 100
+TABLE2_PLANNERS = {
+    "stamp:paper@1": "1",
+    "stamp:paper@25": "25",
+    "stamp:paper@50": "50",
+    "stamp:paper@100": "100",
+    "stamp:paper@200": "200",
+    "stamp:paper-no-predictions@200": "200 without prediction",
+    "stamp:paper-lstm": "LSTM",
+}
+"""What Table II compares -> its row in the paper."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlannerSpec:
-    """A planner to evaluate: a registered name, and for a learned one its checkpoint."""
+    """A planner to evaluate: a registered name, and for a learned one its checkpoint and history.
+
+    history: T, the decisions that it looks back, as many as it is used to for None
+    """
 
     kind: str
     checkpoint: str | None = None
+    history: int | None = None
 
     @classmethod
     def parse(cls, text: str) -> PlannerSpec:
-        """Read `kind`, `kind:checkpoint`, or `package.module:Class`."""
-        kind, colon, checkpoint = text.strip().partition(":")
-        if colon and kind in planner_names():
-            return cls(kind=kind, checkpoint=checkpoint)
-        return cls(kind=text.strip())
+        """Read `kind`, `kind:checkpoint`, either with `@history`, or `package.module:Class`."""
+        match = re.fullmatch(r"([^:@]+)(?::(.+?))?(?:@(\d+))?", text.strip())
+        if match is None or match[1] not in planner_names():
+            return cls(kind=text.strip())
+        history = int(match[3]) if match[3] else None
+        return cls(kind=match[1], checkpoint=match[2], history=history)
 
     @property
     def text(self) -> str:
         """What `parse` reads."""
-        return self.kind if self.checkpoint is None else f"{self.kind}:{self.checkpoint}"
+        return self._named(self.checkpoint)
 
     @property
     def method(self) -> str:
         """What tables call it."""
-        return self.kind if self.checkpoint is None else f"{self.kind}:{Path(self.checkpoint).stem}"
+        return self._named(self.checkpoint and Path(self.checkpoint).stem)
+
+    def _named(self, checkpoint: str | None) -> str:
+        history = "" if self.history is None else f"@{self.history}"
+        return self.kind + (f":{checkpoint}" if checkpoint else "") + history
 
     @property
     def weights_digest(self) -> str | None:
@@ -99,7 +148,7 @@ class EpisodeSpec:
         cell = self.cell
         name = (
             f"{self.planner.method}_N{cell.num_targets}_{cell.speed_ratio}_{cell.prior}"
-            f"_seed{self.seed}_{self.settings}.npz"
+            f"_V{cell.num_nodes}_seed{self.seed}_{self.settings}.npz"
         )
         return self.folder / name.replace(":", "-").replace("/", "-")
 
@@ -109,7 +158,6 @@ class Options:
     """An evaluation: every planner in every cell, on the same instances.
 
     horizon_au:    length of an episode
-    num_nodes:     size of the roadmap
     save_episodes: keep the arrays of each episode
     workers:       processes
 
@@ -118,73 +166,68 @@ class Options:
 
     planners: tuple[PlannerSpec, ...]
     out: Path
-    targets: tuple[int, ...] = TABLE1_TARGETS
-    speed_ratios: tuple[Fraction, ...] = TABLE1_SPEED_RATIOS
-    priors: tuple[Prior, ...] = ("full",)
-    instances: int = TABLE1_INSTANCES
+    sweep: Sweep = TABLE1
+    instances: int = PAPER_INSTANCES
     first_seed: int = 0
     horizon_au: float = 30.0
-    num_nodes: int = 200
     save_episodes: bool = False
     workers: int = 1
 
     def __post_init__(self) -> None:
         methods = tuple(planner.method for planner in self.planners)
-        lists = {"planner": methods, "targets": self.targets, "speed": self.speed_ratios}
-        for name, values in {**lists, "prior": self.priors}.items():
+        over = self.sweep
+        lists = {"planner": methods, "targets": over.targets, "speed": over.speed_ratios}
+        for name, values in {**lists, "prior": over.priors, "nodes": over.nodes}.items():
             _require(len(values) > 0, f"--{name} is empty; name at least one")
             _require(
                 len(set(values)) == len(values),
                 f"--{name} {','.join(map(str, values))} names one twice",
             )
-        for count in self.targets:
+        for count in over.targets:
             _require(1 <= count <= MAX_TARGETS, f"--targets {count} is not 1 to {MAX_TARGETS}")
-        for speed in self.speed_ratios:
+        for speed in over.speed_ratios:
             _require(0 <= speed < 1, f"--speed {speed} is not from 0 to below 1, the agent's")
-        for prior in self.priors:
+        for prior in over.priors:
             _require(prior in PRIORS, f"--prior {prior} is none of {', '.join(PRIORS)}")
         _require(self.instances >= 1, f"--instances {self.instances} is less than 1")
         _require(self.first_seed >= 0, f"--first-seed {self.first_seed} is less than 0")
         _require(self.workers >= 1, f"--workers {self.workers} is less than 1")
-        _require(10 <= self.num_nodes <= 2000, f"--nodes {self.num_nodes} is not 10 to 2000")
+        for nodes in over.nodes:
+            _require(10 <= nodes <= 2000, f"--nodes {nodes} is not 10 to 2000")
         _require(
             math.isfinite(self.horizon_au) and 0.1 <= self.horizon_au <= 1000.0,
             f"--horizon {self.horizon_au:g} is not 0.1 to 1000 au",
         )
         for planner in self.planners:
-            create_planner(planner.kind, checkpoint=planner.checkpoint)
-
-    @property
-    def cells(self) -> list[Cell]:
-        """All fields of the table, in the order in which they were named."""
-        return [
-            Cell(prior=prior, num_targets=count, speed_ratio=speed)
-            for prior in self.priors
-            for count in self.targets
-            for speed in self.speed_ratios
-        ]
+            history = planner.history
+            _require(
+                history is None or 1 <= history <= MAX_HISTORY,
+                f"--planner {planner.text}: a history of {history} is not 1 to {MAX_HISTORY}",
+            )
+            create_planner(planner.kind, checkpoint=planner.checkpoint, history=history)
 
     @property
     def command(self) -> str:
         """Command line that makes the same figures."""
+        over = self.sweep
         return (
             f"dronemon evaluate --planner {_listed(planner.text for planner in self.planners)}"
-            f" --targets {_listed(self.targets)} --speed {_listed(self.speed_ratios)}"
-            f" --prior {_listed(self.priors)} --instances {self.instances}"
+            f" --targets {_listed(over.targets)} --speed {_listed(over.speed_ratios)}"
+            f" --prior {_listed(over.priors)} --instances {self.instances}"
             f" --first-seed {self.first_seed} --horizon {self.horizon_au:g}"
-            f" --nodes {self.num_nodes}"
+            f" --nodes {_listed(over.nodes)}"
         )
 
     @cached_property
     def _settings(self) -> dict[PlannerSpec, str]:
         """Digest, per planner, of what decides an outcome besides the rest of a key."""
-        common = {"version": __version__, "horizon": self.horizon_au, "nodes": self.num_nodes}
+        common = {"version": __version__, "horizon": self.horizon_au}
         return {p: _digest({**common, "weights": p.weights_digest}) for p in self.planners}
 
     def episodes(self) -> Iterator[EpisodeSpec]:
         """All episodes; seed by seed, so that an unfinished run covers all cells alike."""
         for seed in range(self.first_seed, self.first_seed + self.instances):
-            for cell in self.cells:
+            for cell in self.sweep.cells:
                 for planner in self.planners:
                     yield self.episode(planner, cell, seed)
 
@@ -194,7 +237,7 @@ class Options:
             speed_ratio=float(cell.speed_ratio),
             prior=cell.prior,
             horizon_au=self.horizon_au,
-            num_nodes=self.num_nodes,
+            num_nodes=cell.num_nodes,
         )
         return EpisodeSpec(
             planner=planner,

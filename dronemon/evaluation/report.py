@@ -8,8 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dronemon.evaluation.options import Cell
+from dronemon.evaluation.markdown import markdown_table, number, plus_minus
+from dronemon.evaluation.options import DEFAULT_NODES, Cell
 from dronemon.evaluation.results import Result
+from dronemon.evaluation.sections import priors_section, table2_section
 from dronemon.evaluation.tables import (
     AGREEMENT,
     BOUND,
@@ -32,17 +34,21 @@ from dronemon.evaluation.tables import (
 )
 from dronemon.problem import Prior
 
-DIGITS = {"min_ob": 2}
-"""Digits after the point of a figure; 3 for others."""
 UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
 
 
 def write_tables(
-    results: Sequence[Result], out: Path, command: str, *, is_as_published: bool
+    results: Sequence[Result],
+    out: Path,
+    command: str,
+    *,
+    is_as_published: bool,
+    kept: Sequence[str] = (),
 ) -> list[str]:
     """Write table.csv, paired.csv and table.md into a folder; `command` made the results.
 
-    is_as_published: episodes are as long, on as many nodes, as the paper's; its figures are added
+    kept:            methods whose results are from earlier runs
+    is_as_published: episodes are as long as the paper's; its figures are added
     -> what follows from that comparison, a line each
     """
     rows = average_by_cell(results)
@@ -55,27 +61,35 @@ def write_tables(
     differences = paired_differences(results)
     _write_csv(out / "table.csv", _table_records([*rows, *published]))
     _write_csv(out / "paired.csv", _difference_records(differences))
+    verdicts = _verdicts(results, rows) if is_as_published else []
+    text = [
+        *_title(results, command, kept),
+        *_means(results, is_as_published),
+        *[f"- {verdict}" for verdict in verdicts],
+        "",
+        *table2_section(rows, is_as_published=is_as_published),
+        *priors_section(results),
+        *_cell_tables(rows, published),
+        *_paired(differences),
+    ]
+    (out / "table.md").write_text("\n".join(text), encoding="utf-8")
+    return verdicts
+
+
+def _title(results: Sequence[Result], command: str, kept: Sequence[str]) -> list[str]:
+    """What was flown, by which code."""
     seeds = [result.seed for result in results]
     codes = sorted({result.code for result in results})
-    title = [
+    return [
         "# Evaluation",
         "",
         f"`{command}`",
         "",
+        *([f"Besides, from earlier runs in this folder: {', '.join(kept)}", ""] if kept else []),
         f"dronemon {' and '.join(codes)}; one instance per seed, {min(seeds)} to {max(seeds)}; "
         "mean ± standard error over instances.",
         "",
     ]
-    verdicts = _verdicts(results, rows) if is_as_published else []
-    body = [
-        *_means(results, is_as_published),
-        *[f"- {verdict}" for verdict in verdicts],
-        "",
-        *_cell_tables(rows, published),
-        *_paired(differences),
-    ]
-    (out / "table.md").write_text("\n".join([*title, *body]), encoding="utf-8")
-    return verdicts
 
 
 def _write_csv(path: Path, records: list[dict[str, str]]) -> None:
@@ -96,9 +110,10 @@ def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
             "method": row.method,
             **_columns(row, PAPER_FIGURES),
             "prior": row.cell.prior,
+            "nodes": str(row.cell.num_nodes),
             "instances": str(row.instances) if row.instances else "",
             **_columns(row, others),
-            "decision_ms": _number(row.decision_s * 1e3, "decision_ms"),
+            "decision_ms": number(row.decision_s * 1e3, "decision_ms"),
         }
         for row in rows
     ]
@@ -108,8 +123,8 @@ def _columns(row: Row, names: Sequence[str]) -> dict[str, str]:
     """Figures of a row, then their standard errors."""
     extra = 1 if row.instances else 0
     figures = {name: row.figures.get(name, UNKNOWN) for name in names}
-    means = {n: _number(value.mean, n, extra_digits=extra) for n, value in figures.items()}
-    errors = {n: _number(value.standard_error, n, extra_digits=1) for n, value in figures.items()}
+    means = {n: number(value.mean, n, extra_digits=extra) for n, value in figures.items()}
+    errors = {n: number(value.standard_error, n, extra_digits=1) for n, value in figures.items()}
     return {**means, **{f"{name}_se": text for name, text in errors.items()}}
 
 
@@ -120,7 +135,7 @@ def _difference_records(differences: Iterable[Difference]) -> list[dict[str, str
             "minus": difference.other,
             "cells": str(difference.cells),
             **{
-                f"{name}{end}": _number(value, name, extra_digits=1)
+                f"{name}{end}": number(value, name, extra_digits=1)
                 for name, estimate in difference.figures.items()
                 for end, value in (("", estimate.mean), ("_se", estimate.standard_error))
             },
@@ -129,24 +144,11 @@ def _difference_records(differences: Iterable[Difference]) -> list[dict[str, str
     ]
 
 
-def _number(value: float, name: str, *, extra_digits: int = 0) -> str:
-    """A figure with its usual digits; empty where there is none."""
-    if math.isnan(value):
-        return ""
-    return f"{value:.{DIGITS.get(name, 3) + extra_digits}f}"
-
-
-def _markdown(header: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]:
-    """A table in Markdown, followed by an empty line."""
-    lines = [header, ["---"] * len(header), *body]
-    return [*("| " + " | ".join(cells) + " |" for cells in lines), ""]
-
-
 def _means(results: Sequence[Result], is_as_published: bool) -> list[str]:
     """Means over the paper's cells, beside the paper's own; nothing if no method flew them all."""
     methods = dict.fromkeys(result.method for result in results)
     body = [
-        [method, *(_plus_minus(mean[name], name) for name in PAPER_FIGURES)]
+        [method, *(plus_minus(mean[name], name) for name in PAPER_FIGURES)]
         for method in methods
         if (mean := overall(results, method))
     ]
@@ -154,13 +156,13 @@ def _means(results: Sequence[Result], is_as_published: bool) -> list[str]:
         return []
     if is_as_published:
         body += [
-            [f"paper: {method}", *(_number(mean[name], name) for name in PAPER_FIGURES)]
+            [f"paper: {method}", *(number(mean[name], name) for name in PAPER_FIGURES)]
             for method, mean in published_overall().items()
         ]
     return [
         "## Means over the 16 cells of Table I",
         "",
-        *_markdown(["method", "Unc", "Unc std", "MinOb", "JSD"], body),
+        *markdown_table(["method", "Unc", "Unc std", "MinOb", "JSD"], body),
     ]
 
 
@@ -198,11 +200,6 @@ def _verdicts(results: Sequence[Result], rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _plus_minus(estimate: Estimate, name: str) -> str:
-    error = _number(estimate.standard_error, name)
-    return _number(estimate.mean, name) + (f" ± {error}" if error else "")
-
-
 def _cell_tables(rows: Sequence[Row], published: Sequence[Row]) -> list[str]:
     """Tables per prior and number of targets: a line per method, a column per speed ratio."""
     lines: list[str] = []
@@ -221,22 +218,27 @@ def _cell_tables(rows: Sequence[Row], published: Sequence[Row]) -> list[str]:
             ("lost", "Lost: share of targets and instants with Unc above 0.9"),
         ):
             lines += [f"{title}", ""]
-            header = ["method", *(f"r_v = {cell.speed_ratio}" for cell in cells)]
+            header = ["method", *(_heading(cell) for cell in cells)]
             body = [
                 [method, *(_entry(row_of.get(cell), name) for cell in cells)]
                 for method, row_of in by_method.items()
                 if any(name in row_of[cell].figures for cell in cells if cell in row_of)
             ]
-            lines += _markdown(header, body)
+            lines += markdown_table(header, body)
     return lines
+
+
+def _heading(cell: Cell) -> str:
+    nodes = "" if cell.num_nodes == DEFAULT_NODES else f", V = {cell.num_nodes}"
+    return f"r_v = {cell.speed_ratio}{nodes}"
 
 
 def _entry(row: Row | None, name: str) -> str:
     """One figure of one method in one cell."""
     if row is None or name not in row.figures:
         return ""
-    spread = f" ({_number(row.figures['unc_std'].mean, 'unc_std')})" if name == "unc" else ""
-    return _plus_minus(row.figures[name], name) + spread
+    spread = f" ({number(row.figures['unc_std'].mean, 'unc_std')})" if name == "unc" else ""
+    return plus_minus(row.figures[name], name) + spread
 
 
 def _paired(differences: Sequence[Difference]) -> list[str]:
@@ -247,7 +249,7 @@ def _paired(differences: Sequence[Difference]) -> list[str]:
         [
             f"{difference.method} minus {difference.other}",
             str(difference.cells),
-            *(_plus_minus(difference.figures[name], name) for name in RANKED),
+            *(plus_minus(difference.figures[name], name) for name in RANKED),
         ]
         for difference in differences
     ]
@@ -256,5 +258,5 @@ def _paired(differences: Sequence[Difference]) -> list[str]:
         "",
         "On the same instances, mean over cells; below zero: the first is lower.",
         "",
-        *_markdown(["methods", "cells", "Unc", "MinOb", "JSD"], body),
+        *markdown_table(["methods", "cells", "Unc", "MinOb", "JSD"], body),
     ]

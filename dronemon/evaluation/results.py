@@ -11,7 +11,7 @@ from typing import Any
 
 from dronemon.belief import Scores
 from dronemon.errors import RecordError
-from dronemon.evaluation.options import Cell, Key
+from dronemon.evaluation.options import DEFAULT_NODES, Cell, Key
 
 UNKNOWN_CODE = "unknown"
 """Code of episodes from before results named it."""
@@ -21,11 +21,12 @@ UNKNOWN_CODE = "unknown"
 class Result:
     """One finished episode.
 
-    method:        the planner
-    unc_over_time: (S,) mean over targets at each measurement
-    decisions:     how often the planner was asked
-    decision_s:    its mean answering time
-    code:          version that flew it
+    method:          the planner
+    unc_over_time:   (S,) mean over targets at each measurement
+    found_over_time: (S,) share of targets that were seen by then
+    decisions:       how often the planner was asked
+    decision_s:      its mean answering time
+    code:            version that flew it
     """
 
     method: str
@@ -34,6 +35,7 @@ class Result:
     settings: str
     scores: Scores
     unc_over_time: tuple[float, ...]
+    found_over_time: tuple[float, ...]
     decisions: int
     decision_s: float
     code: str
@@ -51,6 +53,7 @@ class Result:
             "targets": cell["num_targets"],
             "speed_ratio": str(cell["speed_ratio"]),
             "prior": cell["prior"],
+            "nodes": cell["num_nodes"],
             "scores": {n: None if math.isnan(value) else value for n, value in scores.items()},
         }
         return json.dumps(record, allow_nan=False)
@@ -58,7 +61,8 @@ class Result:
     @classmethod
     def from_json(cls, line: str) -> Result:
         """Read a line that `as_json` wrote. Raises ValueError, KeyError or TypeError otherwise."""
-        record: dict[str, Any] = {"code": UNKNOWN_CODE, **json.loads(line)}
+        before = {"code": UNKNOWN_CODE, "nodes": DEFAULT_NODES, "found_over_time": ()}
+        record: dict[str, Any] = {**before, **json.loads(line)}
         scores: dict[str, Any] = {
             name: math.nan if value is None else value for name, value in record["scores"].items()
         }
@@ -67,9 +71,11 @@ class Result:
                 prior=record.pop("prior"),
                 num_targets=record.pop("targets"),
                 speed_ratio=Fraction(record.pop("speed_ratio")),
+                num_nodes=record.pop("nodes"),
             ),
             "scores": Scores(**scores),
             "unc_over_time": tuple(record["unc_over_time"]),
+            "found_over_time": tuple(record["found_over_time"]),
         }
         return cls(**record)
 

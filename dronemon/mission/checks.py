@@ -9,9 +9,11 @@ from types import MappingProxyType
 from dronemon.energy import effort_home_s
 from dronemon.mission.addresses import is_video_file
 from dronemon.mission.document import Problem
+from dronemon.mission.faults import parse_fault
 from dronemon.mission.schema import Mission
 
 _CLIMB_M_S = 1.5  # cautious, for the estimate of flight time
+_LEAST_PATROL_MIN = 1.0  # of each battery of a relay
 _AS_IT_COMES: Mapping[str, float] = MappingProxyType({})
 
 
@@ -26,8 +28,14 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
             f"{flight.cruise_speed_m_s:g}; raise it, or leave it out for cruise and 10 %",
         )
     if problem := battery_problem(mission):
-        horizon = "horizon_min" if mission.flight.horizon_min is not None else "horizon_au"
-        yield ("flight", horizon), problem
+        horizon = "horizon_min" if flight.horizon_min is not None else "horizon_au"
+        yield ("flight", horizon if flight.relay is None else "endurance_min"), problem
+    is_swapped = any(parse_fault(fault).kind == "swap" for fault in mission.simulation.faults)
+    if flight.relay == "automatic" and mission.vehicle.is_mock and not is_swapped:
+        yield (
+            ("flight", "relay"),
+            "nothing would change the mock's battery; add swap=60 to simulation.faults",
+        )
     if is_video_file(mission.camera.url) and not Path(mission.camera.url).is_file():
         yield (
             ("camera", "url"),
@@ -82,12 +90,18 @@ def battery_problem(
     """Say why the battery does not allow the flight, if so. See return_min."""
     flight, limit = mission.flight, usable_min(mission)
     minutes = outbound_min(mission, away_m) + return_min(mission, away_m, parameters)
+    what = "take-off, the way to the start, the patrol and the way home take"
+    mend = "shorten the horizon, the side or the way, or fly on with fresh batteries: flight.relay"
+    if flight.relay is not None:
+        minutes -= max(0.0, mission.patrol_duration_s / 60.0 - _LEAST_PATROL_MIN)
+        what = "take-off, the way to the area, a minute of patrol and the way home take"
+        mend = "shorten the side or the way"
     if minutes <= limit:
         return None
     return (
-        f"take-off, the way to the start, the patrol and the way home take {minutes:.1f} min, but "
+        f"{what} {minutes:.1f} min, but "
         f"the battery allows {limit:.1f} min ({flight.endurance_min:g} min endurance less "
-        f"{flight.reserve_battery:.0%} to land with); shorten the horizon, the side or the way"
+        f"{flight.reserve_battery:.0%} to land with); {mend}"
     )
 
 

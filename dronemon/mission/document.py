@@ -144,7 +144,7 @@ def _all_problems(
 
 
 def _take_out(model: type[BaseModel], data: dict[str, Any], key_path: KeyPath) -> Iterator[KeyPath]:
-    """Remove a wrong value; that of a misspelt key goes to the key that it stands for."""
+    """Remove a wrong value; that of a misspelt key, not of another unit, goes to the right one."""
     with contextlib.suppress(KeyError, ValueError):  # it is not there
         *above, key = key_path
         holder: Any = data
@@ -157,7 +157,8 @@ def _take_out(model: type[BaseModel], data: dict[str, Any], key_path: KeyPath) -
         yield key_path
         if key not in _fields(model, key_path):
             for near in _nearest(model, key_path):
-                holder.setdefault(near, value)
+                if not near.startswith(str(key).rpartition("_")[0] or str(key)):
+                    holder.setdefault(near, value)
                 yield (*above, near)
 
 

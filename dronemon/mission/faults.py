@@ -35,6 +35,7 @@ KINDS = {
     "unarmable": FaultKind(what="an arming check fails"),
     "pilot": FaultKind(what="a pilot takes over (POSCTL) and at the end chooses OFFBOARD"),
     "battery": FaultKind(what="the level falls to VALUE", values=_SHARE, is_lasting=False),
+    "swap": FaultKind(what="VALUE seconds after a landing the battery is fresh", values=_SECONDS),
     "gps": FaultKind(what="no satellites"),
     "jump": FaultKind(what="the estimated position is off by VALUE metres", values=(0.0, 1000.0)),
     "fence": FaultKind(what="the geofence counts as crossed"),

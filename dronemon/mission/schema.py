@@ -13,13 +13,19 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.faults import parse_fault
-from dronemon.problem import LENGTH_SCALE_AU, SENSOR_RADIUS_AU, TIME_SCALE_AU
-from dronemon.types import APPEARANCES, Appearance, CameraModel
+from dronemon.problem import (
+    DEFAULT_HISTORY,
+    LENGTH_SCALE_AU,
+    MAX_HISTORY,
+    MEASUREMENT_INTERVAL_AU,
+    SENSOR_RADIUS_AU,
+    TIME_SCALE_AU,
+)
+from dronemon.types import APPEARANCES, GRAVITY_M_S2, Appearance, CameraModel
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
 _TURN_S = 4.0
-_GRAVITY_M_S2 = 9.81
 
 
 class Section(BaseModel):
@@ -79,6 +85,8 @@ class Flight(Section):
     """Where the patrol starts, [x, y] from 0 to 1; drawn if absent."""
     fence_margin_m: float = Field(30.0, ge=10.0, le=1000.0)
     """How far the fence is from the area, home and the way between."""
+    relay: Literal["confirmed", "automatic"] | None = None
+    """Fly on with a fresh battery once `dronemon resume RUN` says so, or by itself; else end."""
 
     @model_validator(mode="after")
     def _one_horizon(self) -> Flight:
@@ -99,7 +107,13 @@ class Flight(Section):
     @property
     def bank_rad(self) -> float:
         """How far the drone banks for that."""
-        return math.atan(self.turn_acceleration_m_s2 / _GRAVITY_M_S2)
+        return math.atan(self.turn_acceleration_m_s2 / GRAVITY_M_S2)
+
+    @property
+    def what_banks(self) -> str:
+        """The key that lowers the bank."""
+        is_fast = self.turn_acceleration_m_s2 > self.max_acceleration_m_s2
+        return "cruise_speed_m_s" if is_fast else "max_acceleration_m_s2"
 
 
 class Vehicle(Section):
@@ -222,6 +236,13 @@ class Planner(Section):
         description="Trained weights of a learned planner: a path from this file, or the name of "
         "shipped ones, which are taken if absent.",
     )
+    history: int | None = Field(
+        None,
+        ge=1,
+        le=MAX_HISTORY,
+        description=f"How many decisions a learned planner looks back; {DEFAULT_HISTORY} if "
+        "absent.",
+    )
 
 
 class Simulation(Section):
@@ -289,6 +310,11 @@ class Mission(Section):
         if self.flight.horizon_min is not None:
             return self.flight.horizon_min * 60.0 * self.flight.cruise_speed_m_s / self.area.side_m
         return self.flight.horizon_au if self.flight.horizon_au is not None else 30.0
+
+    @property
+    def num_pictures(self) -> int:
+        """Pictures of a whole patrol."""
+        return math.floor(self.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-6)
 
     @property
     def patrol_duration_s(self) -> float:

@@ -11,20 +11,27 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from dronemon.belief import Belief
 from dronemon.planner.planner import Briefing, Snapshot, Waypoint
 from dronemon.policy import (
-    DEFAULT_HISTORY,
     Checkpoint,
+    Explanation,
     Graphs,
     History,
     Tracks,
+    Verdict,
     belief_features,
+    explain,
     find_checkpoint,
     frame_points,
     load_checkpoint,
 )
+from dronemon.problem import DEFAULT_HISTORY
 from dronemon.roadmap import Roadmap, laplacian_encoding
 from dronemon.sightings import Sightings
+
+_Seen = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+"""What `History.decide` takes."""
 
 
 class LearnedPlanner:
@@ -37,16 +44,20 @@ class LearnedPlanner:
         self._history = history
 
     @classmethod
-    def load(cls, checkpoint: str | None = None) -> LearnedPlanner:
+    def load(cls, checkpoint: str | None = None, history: int | None = None) -> LearnedPlanner:
         """The planner of a checkpoint's path or name; of the shipped one for None.
+
+        history: T, how many decisions it looks back
 
         Raises CheckpointMismatch.
         """
-        return cls(load_checkpoint(find_checkpoint(checkpoint)))
+        loaded = load_checkpoint(find_checkpoint(checkpoint))
+        return cls(loaded, history=DEFAULT_HISTORY if history is None else history)
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the last mission's history and encode the new roadmap."""
         num_eigenvectors = self._network.config.num_eigenvectors
+        self._nodes_au = roadmap.nodes_au
         self._graphs = Graphs.of(
             roadmap.nodes_au,
             laplacian_encoding(roadmap, num_eigenvectors),
@@ -54,65 +65,85 @@ class LearnedPlanner:
             roadmap.distance_au,
         )
         self._memory = History(self._network, self._graphs, self._history)
-        self._tracks = Tracks(1, briefing.num_targets)
+        self._num_imagined = briefing.num_imagined
+        self._tracks = Tracks(1, briefing.num_targets + self._num_imagined)
         self._num_read = 0
         priors_au = torch.as_tensor(briefing.priors_au.reshape(1, -1, 2))
-        is_placed = priors_au.isfinite().all(-1)
-        self._tracks.add_prior(is_placed, priors_au)
+        if not self._num_imagined:
+            self._tracks.add_prior(priors_au.isfinite().all(-1), priors_au)
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
-        """The neighbour with the greatest logit; details hold all logits and the value."""
+        """The neighbour with the greatest logit; details hold all logits and the value.
+
+        And what it takes to decide so again: how many measurements were known, and how many
+        decisions were made since `reset`, this one counted.
+        """
+        node, seen = self._look(snapshot)
+        return self._choose(node, self._memory.decide(*seen))
+
+    def explain(self, snapshot: Snapshot) -> tuple[Waypoint, Explanation]:
+        """Decide as `next_waypoint`; the weights of attention behind it, too."""
+        node, seen = self._look(snapshot)
+        verdict, (explanation,) = explain(self._memory, *seen)
+        return self._choose(node, verdict), explanation
+
+    def _look(self, snapshot: Snapshot) -> tuple[int, _Seen]:
+        """The agent's node, and what the network is shown there."""
         node = snapshot.node if snapshot.node is not None else _nearest_node(snapshot)
-        frame, target_mask = self._believe(snapshot)
+        frame = self._believe(snapshot)
+        target_mask = torch.ones(1, frame.shape[2], dtype=torch.bool)
         time_au = torch.tensor([snapshot.time_au], dtype=torch.float64)
-        verdict = self._memory.decide(
-            frame,
-            target_mask,
-            time_au,
-            torch.tensor([node]),
-            self._follow(snapshot.sightings, time_au, target_mask.shape[1]),
-        )
+        tracks = self._follow(snapshot.sightings, time_au)
+        return node, (frame, target_mask, time_au, torch.tensor([node]), tracks)
+
+    def _choose(self, node: int, verdict: Verdict) -> Waypoint:
         logits = verdict.logits[0, 0]
         allowed = self._graphs.neighbour_mask[0, node]
         neighbours = self._graphs.neighbours[0, node]
         chosen = int(neighbours[logits.argmax()])
         return Waypoint(
-            position_au=snapshot.roadmap.nodes_au[chosen],
+            position_au=self._nodes_au[chosen],
             node=chosen,
             details={
                 "neighbours": neighbours[allowed].tolist(),
                 "logits": logits[allowed].tolist(),
                 "value": float(verdict.value[0, 0]),
+                "num_measurements": self._num_read,
+                "num_decisions": self._memory.num_decisions,
             },
         )
 
-    def _follow(
-        self, sightings: Sightings, time_au: torch.Tensor, num_targets: int
-    ) -> torch.Tensor:
+    def _follow(self, sightings: Sightings, time_au: torch.Tensor) -> torch.Tensor:
         """Take in what was measured since the last decision. -> tracks (1, N, T)."""
+        ahead = self._num_imagined
         for measurement in sightings.since(self._num_read):
-            self._tracks.widen(len(measurement.seen))
+            self._tracks.widen(ahead + len(measurement.seen))
             self._tracks.add(
                 torch.tensor([measurement.time_au], dtype=torch.float64),
                 torch.as_tensor(measurement.agent_au)[None],
-                torch.as_tensor(measurement.seen)[None],
-                torch.as_tensor(measurement.target_au)[None],
+                torch.as_tensor(np.pad(measurement.seen, (ahead, 0)))[None],
+                torch.as_tensor(np.pad(measurement.target_au, ((ahead, 0), (0, 0))))[None],
                 torch.ones(1, dtype=torch.bool),
             )
         self._num_read = len(sightings)
-        self._tracks.widen(num_targets)
         return self._tracks.features(time_au)
 
-    def _believe(self, snapshot: Snapshot) -> tuple[torch.Tensor, torch.Tensor]:
-        """The belief at every node. -> frame (1, V, N, 4), target mask (1, N); N >= 1."""
+    def _believe(self, snapshot: Snapshot) -> torch.Tensor:
+        """The belief at every node. -> frame (1, V, N, 4).
+
+        Differs from STAMP: where more targets may exist than are known, the first is imagined, so
+        that the network sees where nobody has looked.
+        """
+        belief = snapshot.belief
+        if self._num_imagined:
+            belief = Belief(snapshot.sightings, belief.kernel, num_imagined=self._num_imagined)
         nodes_au = torch.as_tensor(snapshot.roadmap.nodes_au)[None]
         query_au = frame_points(nodes_au, nodes_au.new_tensor([snapshot.time_au]))[0]
-        mean, std = (torch.as_tensor(v) for v in snapshot.belief.posterior(query_au.numpy()))
-        target_mask = torch.ones(1, max(1, len(mean)), dtype=torch.bool)
-        if not len(mean):  # nothing is known of any target yet: one of which nothing is known
-            mean, std = torch.zeros(1, len(query_au)), torch.ones(1, len(query_au))
-            target_mask[:] = False
-        return belief_features(mean, std)[None], target_mask
+        mean, std = (
+            torch.as_tensor(np.roll(of_all, self._num_imagined, axis=0))
+            for of_all in belief.posterior(query_au.numpy())
+        )
+        return belief_features(mean, std)[None]
 
 
 def _nearest_node(snapshot: Snapshot) -> int:

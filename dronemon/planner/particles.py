@@ -195,11 +195,15 @@ class ParticleBelief:
 
         priors_au:    (N, 2) float64 au positions at time 0, NaN where unknown
         num_imagined: targets, kept last, that stand for those not known of yet
+
+        `undetected` is the chance that one of those would not have been seen so far: where their
+        number is Poisson, that share of it is left, whatever was found meanwhile.
         """
         self._motion = motion
         self._arena, self._bounds = arena, arena.bounds
         self._rng = rng
         self._num_imagined = num_imagined
+        self.undetected = 1.0
         self._num_learned = 0
         self.time_au = 0.0
         self.speed = SpeedBelief(motion)
@@ -270,6 +274,8 @@ class ParticleBelief:
                 self._sight(target, before[i], now[i])
             else:
                 lost = self._refuted(target, measurement.agent_au)
+                if i >= len(self.targets) - self._num_imagined:
+                    self.undetected *= 1.0 - len(lost) / self._motion.num_particles
                 if len(lost) > (1.0 - _FEW) * self._motion.num_particles and before[i]:
                     misses = self._misses_since(before[i][-1], sightings)
                     lost = lost[self._walk_anew(target, lost, before[i][-1], misses) :]

@@ -84,6 +84,11 @@ class Briefing:
     rng: np.random.Generator
     arena: Arena = ARENA
 
+    @property
+    def num_imagined(self) -> int:
+        """Targets to imagine, in place of all that may exist unknown: one where none is told of."""
+        return int(self.num_targets == 0)
+
 
 class Planner(Protocol):
     """Chooses waypoints. One object flies many missions, one after another; `reset` begins each."""

@@ -35,7 +35,7 @@ _SHIPPED: dict[str, Callable[..., Planner]] = {
     "lawnmower": Lawnmower,
     "search": lambda: _load("search:SearchPlanner")(),
     "search-roadmap": lambda: _load("search:RoadmapSearchPlanner")(),
-    "stamp": lambda weights: _load("learned:LearnedPlanner.load")(weights),
+    "stamp": lambda *given: _load("learned:LearnedPlanner.load")(*given),
     "tsp": lambda: TspLoop("tsp", last_seen),
     "tsp-heading": lambda: TspLoop("tsp-heading", carried_on),
     "tsp-predicted": lambda: TspLoop("tsp-predicted", predicted),
@@ -68,19 +68,23 @@ def is_bound(kind: str) -> bool:
     return kind in {"clairvoyant", "clairvoyant-search"}
 
 
-def create_planner(kind: str, *, checkpoint: str | None = None) -> Planner:
+def create_planner(
+    kind: str, *, checkpoint: str | None = None, history: int | None = None
+) -> Planner:
     """Make a planner.
 
     kind:       one of `planner_names()`, an entry point's name, or package.module:Class
     checkpoint: trained weights, for planners that have some
+    history:    T, how many decisions such a planner looks back, 100 for None
 
-    Raises OptionError for a kind that cannot be made, or a checkpoint given to a planner without
-    weights; PolicyError for a checkpoint that cannot be used.
+    Raises OptionError for a kind that cannot be made, or a checkpoint or a history given to a
+    planner without weights; PolicyError for a checkpoint that cannot be used.
     """
     if has_weights(kind):
-        return _SHIPPED[kind](checkpoint)
-    if checkpoint is not None:
-        raise OptionError(f"planner {kind!r} has no weights, but checkpoint {checkpoint} was given")
+        return _SHIPPED[kind](checkpoint, history)
+    for name, given in {"checkpoint": checkpoint, "history": history}.items():
+        if given is not None:
+            raise OptionError(f"planner {kind!r} has no weights, but {name} {given} was given")
     if kind in _SHIPPED:
         return _SHIPPED[kind]()
     if ":" in kind:

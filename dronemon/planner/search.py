@@ -46,7 +46,7 @@ class SearchPlanner:
             briefing.priors_au.reshape(-1, 2),
             self.settings.motion,
             self._rng,
-            num_imagined=int(briefing.num_targets == 0),
+            num_imagined=briefing.num_imagined,
             arena=briefing.arena,
         )
         self._arena = briefing.arena
@@ -150,6 +150,8 @@ class SearchPlanner:
         since[: len(seen_au)] = (snapshot.time_au - seen_au) / MEASUREMENT_INTERVAL_AU
         weight = np.full(num_targets, 1.0 / num_each)
         weight[np.isinf(since)] *= self.settings.unfound_weight
+        num_unknown = self.settings.num_unknown * self._particles.undetected
+        weight[snapshot.sightings.num_targets :] *= num_unknown
         flat = later_au.astype(np.float32).reshape(len(later_au), -1, 2)
         return scoring.Forecast(
             x=np.ascontiguousarray(flat[..., 0]),

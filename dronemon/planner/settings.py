@@ -72,8 +72,10 @@ class SearchSettings:
     unfound_weight: float = 10.0
     """Weight of a target that was never seen: once found, it can be followed.
 
-    While more targets may exist than are known, an imagined one has this weight too.
+    While more targets may exist than are known, an imagined one stands for all of them.
     """
+    num_unknown: float = 4.0
+    """Targets expected at first where their number is unknown."""
     motion: MotionSettings = field(default_factory=MotionSettings)
 
     def horizon(self, speed: float) -> int:

@@ -2,7 +2,6 @@
 
 from dronemon.card import Card, Scope, find_checkpoint
 from dronemon.policy.checkpoint import (
-    DEFAULT_HISTORY,
     Checkpoint,
     load_checkpoint,
     read_tensors,
@@ -10,6 +9,7 @@ from dronemon.policy.checkpoint import (
     write_atomically,
 )
 from dronemon.policy.decoder import Verdict
+from dronemon.policy.explanation import Explanation, explain
 from dronemon.policy.features import (
     Graphs,
     Segment,
@@ -22,9 +22,9 @@ from dronemon.policy.network import PolicyNetwork
 from dronemon.policy.tracks import Tracks
 
 __all__ = [
-    "DEFAULT_HISTORY",
     "Card",
     "Checkpoint",
+    "Explanation",
     "Graphs",
     "History",
     "NetworkConfig",
@@ -34,6 +34,7 @@ __all__ = [
     "Tracks",
     "Verdict",
     "belief_features",
+    "explain",
     "find_checkpoint",
     "frame_points",
     "load_checkpoint",

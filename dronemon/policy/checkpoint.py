@@ -22,9 +22,6 @@ from dronemon.errors import CheckpointMismatch
 from dronemon.policy.layers import NetworkConfig
 from dronemon.policy.network import PolicyNetwork
 
-DEFAULT_HISTORY = 100
-"""T, the frames a policy remembers in flight and evaluation. Source: paper, section V-A."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint:

@@ -11,14 +11,12 @@ import torch
 from torch import Tensor, nn
 
 from dronemon.policy.features import Graphs
-from dronemon.policy.layers import LEG_AU, NetworkConfig, Projections, Residual, rows, take
+from dronemon.policy.layers import HIDDEN, LEG_AU, NetworkConfig, Projections, Residual, rows, take
 from dronemon.policy.tracks import NUM_TRACK_FEATURES
 
 _NUM_OFFSETS = 8
 _MANY = 4.0
 """Targets over whose number the sum of what they say is divided, to be of order one."""
-_HIDDEN = -1e4
-"""Score of what must not be seen; finite, for there may be nothing else."""
 
 
 class TargetEncoder(nn.Module):
@@ -39,7 +37,7 @@ class TargetEncoder(nn.Module):
 
         coordinates: (B, V, 2)          au
         windows:     (B, P, V, n, N, F) P phases of n windows
-        target_mask: (B, N)
+        target_mask: (B, P, n, N)       targets known of
         -> (B, P, V, n, d)
         """
         num_targets = windows.shape[-2]
@@ -53,9 +51,8 @@ class TargetEncoder(nn.Module):
         flat = windows.flatten(3, 4)  # (B, P, V, nN, F)
         scores = narrow[:, None] @ flat.transpose(-1, -2)
         scores = scores.view(*scores.shape[:-1], -1, num_targets)  # (B, P, V, H, n, N)
-        is_unknown = ~target_mask[:, None, None, None, None]
-        # A finite mask, so that the softmax over no known target at all is a number; it counts 0.
-        weights = scores.masked_fill(is_unknown, -1e9).softmax(-1).masked_fill(is_unknown, 0.0)
+        is_unknown = ~target_mask[:, :, None, None]
+        weights = maps.softmax(scores.masked_fill(is_unknown, HIDDEN)).masked_fill(is_unknown, 0.0)
         mixed = (weights[..., None] * windows[:, :, :, None]).sum(-2)  # (B, P, V, H, n, F)
         value_map = maps.split(maps.value.weight @ self.belief.weight)
         out_map = maps.split(maps.out.weight.T)  # (H, d / H, d)
@@ -113,7 +110,7 @@ class TemporalEncoder(nn.Module):
         scores = query @ keys.transpose(-1, -2) - pull * past
         if mask is not None:
             scores = scores.masked_fill(~mask, -torch.inf)
-        weights = scores.softmax(-1)
+        weights = maps.softmax(scores)
         age = flown[..., None, :, None] - (weights * past).sum(-1, keepdim=True)
         mixed = weights @ values + age * maps.split(maps.value(rate))[:, None]
         result: Tensor = self.residual(features, maps.join(mixed))
@@ -171,7 +168,7 @@ class SpatialEncoder(nn.Module):
             closeness = self.ways.closeness(rows(graphs.distances, queried), queried)
             scores = scores + self.ways.scores(query, closeness)
         scores = scores.masked_fill(~graphs.node_mask[:, None, None, None], -torch.inf)
-        weights = scores.softmax(-1)  # (B, L, H, q, V)
+        weights = maps.softmax(scores)  # (B, L, H, q, V)
         mixed = weights @ maps.heads(maps.value(features))
         if self.ways is not None:
             mixed = mixed + self.ways.values(weights, closeness)
@@ -238,6 +235,7 @@ class TrackEncoder(nn.Module):
         self.offsets = nn.Linear(_NUM_OFFSETS, width)
         self.pair = nn.Linear(width, width)
         self.score = nn.Linear(width, config.num_heads)
+        self.softmax = nn.Softmax(dim=3)
         self.out = nn.Linear(2 * width, width)
         self.nodes = Residual(width, config.feed_forward)
 
@@ -248,18 +246,19 @@ class TrackEncoder(nn.Module):
 
         features:    (B, L, q, d) the agent's node first
         tracks:      (B, L, N, T)
-        target_mask: (B, N)
+        target_mask: (B, L, N)
         places:      (B, L, q, 2) au of the nodes
         -> (B, L, q, d)
         """
         offsets = _offsets(tracks, places)  # (B, L, q, N, O)
         tokens = torch.relu(self.own(torch.cat([tracks, offsets[:, :, 0]], dim=-1)))
-        mask = torch.where(target_mask[:, None, None, None], 0.0, _HIDDEN).to(tokens.dtype)
+        mask = target_mask[:, :, None, None]
         tokens = self.targets(tokens, self.attention.attend(tokens, tokens, mask))
         pairs = torch.relu(self.offsets(offsets) + tokens[:, :, None])
         pairs = torch.relu(self.pair(pairs))  # (B, L, q, N, d)
-        is_there = target_mask[:, None, None, :, None]
-        weights = self.score(pairs).masked_fill(~is_there, _HIDDEN).softmax(3)
+        is_there = target_mask[:, :, None, :, None]
+        scores = self.score(pairs).masked_fill(~is_there, HIDDEN)
+        weights = self.softmax(scores)  # (B, L, q, N, H)
         heads = pairs.reshape(*weights.shape, -1)  # (B, L, q, N, H, d / H)
         chosen = (weights[..., None] * heads).sum(3).flatten(-2)
         total = (pairs * is_there).sum(3) / _MANY

@@ -170,7 +170,7 @@ class Segment:
     """The first L decisions of B episodes, as the network sees them.
 
     frames:      (B, L, V, N, 4) float32 belief features
-    target_mask: (B, N)          bool
+    target_mask: (B, L, N)       bool    targets known of at each decision
     flown:       (B, L)          float32 trajectory length at each decision, in `WINDOW_AU`
     nodes:       (B, L)          int64   the agent's node at each decision
     tracks:      (B, L, N, T)    float32 see `Tracks`

@@ -33,8 +33,8 @@ class History:
 
     def __init__(self, network: PolicyNetwork, graphs: Graphs, history: int) -> None:
         config = network.config
-        self._network = network
-        self._graphs = graphs
+        self.network = network
+        self.graphs = graphs
         self._stride = config.stride_for(history)
         ring = num_windows(history, self._stride) if config.temporal == "attention" else 1
         heads = (config.num_heads, ring, config.width // config.num_heads)
@@ -50,7 +50,18 @@ class History:
         self._frames: list[Tensor] = []
         self._lengths_au: list[Tensor] = []
         self._node: Tensor | None = None
-        self._num_decisions = 0
+        self.num_decisions = 0
+
+    def windows(self) -> tuple[Tensor, Tensor]:
+        """The windows that the newest decision's attention saw: slots (T',), marks (B, T') in au.
+
+        slots: where each stands among the weights of `TemporalEncoder`; marks: the length flown
+        at each. Both are in the windows' order, oldest first.
+        """
+        phase = self._phases[(self.num_decisions - 1) % self._stride]
+        size = phase.marks_au.shape[1]
+        slots = torch.arange(max(0, phase.count - size), phase.count) % size
+        return slots, phase.marks_au[:, slots]
 
     @torch.no_grad()
     def decide(
@@ -69,26 +80,26 @@ class History:
         self._frames = [*known, frame][-self._stride :]
         self._lengths_au = [*self._lengths_au, length_au.double()][-self._stride :]
         last = len(self._frames) - 1
-        window = self._network.windows(torch.stack(self._frames, dim=1), self._stride, last)
+        window = self.network.windows(torch.stack(self._frames, dim=1), self._stride, last)
         mark_au = pool_windows(torch.stack(self._lengths_au, dim=1), self._stride, last)[:, 0]
-        encoded = self._network.target_encoder(
-            self._graphs.coordinates, window[:, :, :, None], target_mask
+        encoded = self.network.target_encoder(
+            self.graphs.coordinates, window[:, :, :, None], target_mask[:, None, None]
         )
-        phase = self._phases[self._num_decisions % self._stride]
-        self._num_decisions += 1
-        if isinstance(self._network.temporal, TemporalEncoder):
-            aware = self._attend(self._network.temporal, phase, encoded, length_au, mark_au)
+        phase = self._phases[self.num_decisions % self._stride]
+        self.num_decisions += 1
+        if isinstance(self.network.temporal, TemporalEncoder):
+            aware = self._attend(self.network.temporal, phase, encoded, length_au, mark_au)
         else:
-            aware = self._carry(self._network.temporal, phase, encoded, mark_au)
+            aware = self._carry(self.network.temporal, phase, encoded, mark_au)
         previous = current if self._node is None else self._node
         self._node = current
-        return self._network.decide(
+        return self.network.decide(
             aware[:, :, :, 0],
-            self._graphs,
+            self.graphs,
             current[:, None],
             previous[:, None],
             tracks[:, None],
-            target_mask,
+            target_mask[:, None],
         )
 
     def _attend(

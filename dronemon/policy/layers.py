@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import scaled_dot_product_attention
 
 from dronemon.errors import PolicyError
 
 LEG_AU = 0.1
 """About the distance to a neighbour."""
+HIDDEN = -1e4
+"""Score of what must not be seen; finite, for there may be nothing else."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +63,10 @@ class NetworkConfig:
 
 
 class Projections(nn.Module):
-    """Linear maps of multi-head attention, without bias. Source: paper, equation 3."""
+    """Linear maps of multi-head attention, without bias. Source: paper, equation 3.
+
+    The weights are what `softmax` gives for scores (..., H, n, m); `policy.explain` listens there.
+    """
 
     def __init__(self, width: int, num_heads: int) -> None:
         super().__init__()
@@ -70,6 +75,7 @@ class Projections(nn.Module):
         self.key = nn.Linear(width, width, bias=False)
         self.value = nn.Linear(width, width, bias=False)
         self.out = nn.Linear(width, width, bias=False)
+        self.softmax = nn.Softmax(dim=-1)
 
     def heads(self, features: Tensor) -> Tensor:
         """(..., n, d) -> (..., H, n, d / H)."""
@@ -82,10 +88,11 @@ class Projections(nn.Module):
         return out
 
     def attend(self, asking: Tensor, asked: Tensor, mask: Tensor) -> Tensor:
-        """What (..., n, d) find in (..., m, d). mask: (..., m) true or 0 where -> (..., n, d)."""
+        """What (..., n, d) find in (..., m, d). mask: (..., m) true where seen -> (..., n, d)."""
         query, key = self.heads(self.query(asking)), self.heads(self.key(asked))
-        value = self.heads(self.value(asked))
-        return self.join(scaled_dot_product_attention(query, key, value, attn_mask=mask))
+        scores = query @ key.transpose(-1, -2) / math.sqrt(query.shape[-1])
+        weights = self.softmax(scores.masked_fill(~mask, HIDDEN))
+        return self.join(weights @ self.heads(self.value(asked)))
 
     def split(self, weight: Tensor) -> Tensor:
         """Rows of a weight by head. (d, ...) -> (H, d / H, ...)."""

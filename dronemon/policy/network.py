@@ -70,7 +70,8 @@ class PolicyNetwork(nn.Module):
         length = segment.frames.shape[1]
         stride = self.config.stride_for(history)
         windows = _to_phases(self.windows(segment.frames, stride), stride).transpose(2, 3)
-        encoded = self.target_encoder(segment.graphs.coordinates, windows, segment.target_mask)
+        known = _to_phases(segment.target_mask, stride)
+        encoded = self.target_encoder(segment.graphs.coordinates, windows, known)
         flown = _to_phases(segment.flown, stride)[:, :, None]  # (B, P, 1, n)
         marks = _to_phases(pool_windows(segment.flown, stride), stride)[:, :, None]
         if isinstance(self.temporal, TemporalMemory):
@@ -115,7 +116,7 @@ class PolicyNetwork(nn.Module):
         current:     (B, L)       the agent's nodes
         previous:    (B, L)       those before them, at the start of an episode the same
         tracks:      (B, L, N, T)
-        target_mask: (B, N)
+        target_mask: (B, L, N)
         """
         neighbours = rows(graphs.neighbours, current)  # (B, L, k)
         queried = torch.cat([current[..., None], neighbours], dim=-1)

@@ -146,7 +146,8 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
     what = f"the autopilot returns at {height_m:g} m above home"
     mends = {"RTL_RETURN_ALT": math.ceil(min(flight.altitude_m, height_m))}
     if problem := battery_problem(mission, facts.away_m, p):
-        return no(f"{what}: {problem}", **mends)
+        is_mended = battery_problem(mission, facts.away_m, {**p, **mends}) is None
+        return no(f"{what}: {problem}", **(mends if is_mended else {}))
     if 0.0 < p.get("GF_MAX_VER_DIST", 0.0) <= height_m:
         return no(f"{what}, which is above GF_MAX_VER_DIST", **mends, GF_MAX_VER_DIST=0.0)
     if height_m > max(_HIGH_M, flight.altitude_m):

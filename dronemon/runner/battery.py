@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Mapping
 
-from dronemon.energy import Drain, Wind, effort_home_s
+from dronemon.energy import Drain, effort_home_s
 from dronemon.errors import VehicleError
 from dronemon.frames import GeoPoint, geo_to_ned
 from dronemon.guidance import Drag
@@ -19,6 +19,7 @@ class Battery:
     """Follows the vehicle's level and its way home.
 
     level:      0 to 1, as heard, or else as it is used up since; None if it was never heard
+    flown_to:   the level when the motors ran last; None if they did not, or it was never heard
     needed:     the level that it takes to come home from here and land
     drag:       how the air brakes the vehicle; whoever guides it lets it learn
     parameters: the vehicle's energy.RETURN_PARAMETERS
@@ -28,19 +29,21 @@ class Battery:
         self._link = link
         self._endurance_s = 60.0 * flight.endurance_min
         self._reserve = flight.reserve_battery
-        self.level: float | None = None
+        self.level: float | None
+        self.flown_to: float | None = None
         self.needed = 0.0
         self.drag = Drag()
         self.parameters: Mapping[str, float] = {}
         self._time_s = math.inf
         self._home: tuple[GeoPoint | None, GeoPoint | None] = None, None
         self._home_ned_m: Vector3 = (0.0, 0.0, 0.0)
-        self._start()
+        self._start(None)
 
-    def _start(self) -> None:
+    def _start(self, level: float | None) -> None:
         """On the ground: a flight begins, maybe with another battery."""
         self._airborne_s = 0.0
         self._drain = Drain(self._endurance_s)
+        self.level = level
 
     def go_on(self, airborne_s: float) -> None:
         """It has been in the air for so long before it was followed."""
@@ -54,19 +57,18 @@ class Battery:
             passed_s = max(pose.time_s - self._time_s, 0.0)
             self._time_s = pose.time_s
             if state.landed is Landed.ON_GROUND and not state.is_armed:
-                self._start()
-                self.level = state.battery
+                self._start(state.battery)
             else:
                 self._use(passed_s, state.battery)
+                self.flown_to = self.level
             self._follow_home(state.home, state.origin)
             (north, east, down), (home_north, home_east, home_down) = (
                 pose.position_ned_m,
                 self._home_ned_m,
             )
             way_m = home_north - north, home_east - east
-            wind = Wind(at_rest_m_s2=self.drag.at_rest_m_s2, drag_per_s=self.drag.per_s)
-            effort_home = effort_home_s(way_m, home_down - down, self.parameters, wind)
-            self.needed = self._drain.needed(effort_home)
+            effort_s = effort_home_s(way_m, home_down - down, self.parameters, self.drag.wind)
+            self.needed = self._drain.needed(effort_s)
 
     def _use(self, passed_s: float, level: float | None) -> None:
         self._airborne_s += passed_s

@@ -7,11 +7,44 @@ import contextlib
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from queue import SimpleQueue
+from typing import ClassVar, TypeVar
 
 from dronemon.errors import DronemonError
 
 T = TypeVar("T")
+BUSY, IDLE = "foreign", "foreign, idle"
+"""Names of the threads."""
+
+
+class _Thread(threading.Thread):
+    """Does one call after the other: a new thread each time costs time and memory.
+
+    One that hangs is never asked again.
+    """
+
+    _idle: ClassVar[list[_Thread]] = []
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self._calls = SimpleQueue[Callable[[], None]]()
+        self.start()
+
+    @classmethod
+    def do(cls, call: Callable[[], None]) -> None:
+        """Have an idle thread do it, or a new one."""
+        try:
+            thread = cls._idle.pop()
+        except IndexError:
+            thread = cls()
+        thread.name = BUSY
+        thread._calls.put(call)
+
+    def run(self) -> None:
+        while True:
+            self._calls.get()()
+            self.name = IDLE
+            self._idle.append(self)
 
 
 async def in_daemon_thread(
@@ -34,7 +67,7 @@ async def in_daemon_thread(
         with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
             loop.call_soon_threadsafe(lambda: answer.cancelled() or settle())
 
-    threading.Thread(target=work, name="foreign", daemon=True).start()
+    _Thread.do(work)
     try:
         async with asyncio.timeout(limit_s):
             return await answer

@@ -6,36 +6,32 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Awaitable, Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
-
-import numpy as np
 
 from dronemon.energy import RETURN_PARAMETERS
 from dronemon.errors import DronemonError, PlannerError, RecordError, VehicleError
-from dronemon.events import AreaLaid, EventStream, Progressed
-from dronemon.fence import Fence
-from dronemon.frames import AreaFrame, ned_to_geo
+from dronemon.events import EventStream
+from dronemon.frames import AreaFrame
 from dronemon.guard import State
-from dronemon.mission.checks import battery_problem
 from dronemon.preflight import Sight, Verdict, against
-from dronemon.roadmap import Roadmap
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.inspection import fence_around, find, lay_area, look, refusal
+from dronemon.runner.ground import Ground
+from dronemon.runner.history import GOING_ON
+from dronemon.runner.inspection import find, look, refusal
 from dronemon.runner.last_seen import LastSeen, last_seen
 from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
 from dronemon.runner.supervisor import Supervisor
-from dronemon.runner.tally import Tally
+from dronemon.runner.tally import Tally, progress
 from dronemon.types import Vector3
 from dronemon.vehicle import Landed, Mode
-from dronemon.vehicle.changes import Changes
-from dronemon.vehicle.fence_items import polygon_items
+from dronemon.vehicle.changes import Changes, ChangesTaken
 
 NOT_STARTED = "nothing has flown: the motors were not started"
+NOT_STARTED_AGAIN = "it did not take off again: the motors were not started"
 DOWN = "the drone is down, and its motors are off"
-_GROUND_POSES = 20
 _RESET_LIMIT_S = 30.0
 """Wall time for the planner to begin a mission, as it has done in the rehearsal."""
 
@@ -48,8 +44,8 @@ class FlightResult:
     has_flown: whether it was armed; is_landed: whether the motors are off for sure; if not,
     last_seen has the last words.
     landing_error_m: distance from where it was armed, None if it did not take off or land, or if
-    its position was not good.
-    tally: what the patrol did; None if it never began.
+    its position was not good; landing_battery: the level then.
+    tally: what the patrol did, before a resume too; None if it never began.
     error: what went wrong, also if the drone came home after it.
     """
 
@@ -58,8 +54,10 @@ class FlightResult:
     is_landed: bool
     last_seen: LastSeen | None
     landing_error_m: float | None
+    landing_battery: float | None
     tally: Tally | None
     error: DronemonError | None
+    is_resumed: bool = False
 
     @property
     def last_word(self) -> str:
@@ -67,7 +65,7 @@ class FlightResult:
         if self.last_seen is not None:
             return self.last_seen.words
         if not self.has_flown:
-            return NOT_STARTED
+            return NOT_STARTED_AGAIN if self.is_resumed else NOT_STARTED
         return DOWN
 
 
@@ -92,9 +90,8 @@ async def fly_mission(setup: FlightSetup) -> FlightResult:
 
 class _Flight:
     def __init__(self, setup: FlightSetup) -> None:
-        self._setup = setup
-        self._mission = setup.file.mission
-        self._link = setup.link
+        self._setup, self._history = setup, setup.history
+        self._mission, self._link = setup.file.mission, setup.link
         self._events = EventStream(setup.record, setup.watchers, setup.link)
         self._battery = Battery(setup.link, self._mission.flight)
         self._supervisor = Supervisor(
@@ -124,13 +121,21 @@ class _Flight:
             is_landed=supervisor.is_down,
             last_seen=None if supervisor.is_down else last_seen(self._link),
             landing_error_m=self._distance_from_home_m() if supervisor.is_down else None,
-            tally=self._patrol.tally if self._patrol else None,
+            landing_battery=self._battery.flown_to if supervisor.is_down else None,
+            tally=self._tally(),
             error=supervisor.error,
+            is_resumed=self._history is not None,
         )
+
+    def _tally(self) -> Tally | None:
+        """What the run came to, also if this part of it never began to patrol."""
+        part = self._patrol if self._patrol and self._patrol.tally else self._history
+        return part.tally if part else None
 
     async def _see_through(self) -> None:
         supervisor = self._supervisor
         async with contextlib.AsyncExitStack() as self._exit:  # closes the camera
+            self._exit.enter_context(self._changes)
             async with asyncio.TaskGroup() as self._meanwhile:
                 listening = self._beside(self._tell_texts, "texts")
                 try:
@@ -152,111 +157,75 @@ class _Flight:
     # On the ground
 
     async def _prepare(self) -> None:
-        """Wait for the vehicle, lay the area over the ground, try the camera, brief the planner."""
+        """Get ready; where a vehicle lands meanwhile that was to be met in the air, once more."""
+        if self._history is not None:
+            self._events.note(GOING_ON, "goes on with what the run has come to")
         async with self._setup.interrupts.leaving():
-            setup, mission, link = self._setup, self._mission, self._link
+            link, limit_s = self._link, self._mission.vehicle.ready_timeout_s
             self._progress("waiting for the vehicle")
-            await link.wait_ready(mission.vehicle.ready_timeout_s)
-            self._is_attached = setup.history is not None and link.state.is_armed
-            if not self._is_attached:
-                await self._changes.put_back()  # what a flight before this one left
-            await self._changes.make(setup.settings)
-            await self._exit.enter_async_context(setup.camera)  # its clock is the vehicle's
-            sight = await look(setup)
-            frame = await self._lay_area()
-            self._battery.parameters = await link.read_parameters(RETURN_PARAMETERS)
-            if not self._is_attached:
-                await self._check_fitness(sight, frame)
-            fence = await self._lay_fence(frame)
-            start_au, roadmap = draw_start_and_roadmap(mission)
-            briefing = brief(mission, setup.priors_au, start_au, stream="planner")
-            reset = partial(setup.planner.reset, briefing, roadmap)
-            who = f"planner '{setup.planner.name}'"
-            await in_daemon_thread(reset, who, PlannerError, _RESET_LIMIT_S)
-            self._tell_area(frame, fence, roadmap)
-            self._tell_resumed(frame)
-            self._patrol = Patrol(
-                setup,
-                self._supervisor,
-                self._events,
-                self._battery,
-                frame=frame,
-                fence=fence,
-                roadmap=roadmap,
-                start_au=start_au,
-            )
+            await link.wait_ready(limit_s)
+            await self._exit.enter_async_context(self._setup.camera)  # its clock is the vehicle's
+            await self._get_ready()
             await link.next_heartbeat()  # the guard judges a fresh state
+            if self._is_attached and link.state.landed is Landed.ON_GROUND:
+                self._progress("waiting until it has disarmed")
+                await link.wait_until(lambda: not link.state.is_armed, "disarming", limit_s)
+                await link.wait_ready(limit_s)
+                await self._get_ready()
+                await link.next_heartbeat()
+            if self._is_flown_already():
+                self._supervisor.ask(is_horizon_flown=True)
+
+    async def _get_ready(self) -> None:
+        """Lay the area over the ground, try the camera, brief the planner."""
+        setup, mission, link = self._setup, self._mission, self._link
+        self._is_attached = setup.history is not None and link.state.is_armed
+        if not self._is_attached:
+            await self._changes.put_back()  # what a flight before this one left
+        await self._changes.make(setup.settings)
+        sight = await look(setup)
+        ground = Ground(setup, self._events, self._changes, is_attached=self._is_attached)
+        frame = await ground.lay_area()
+        self._battery.parameters = await link.read_parameters(RETURN_PARAMETERS)
+        if not self._is_attached:
+            await self._check_fitness(sight, frame)
+        fence = await ground.lay_fence(frame)
+        start_au, roadmap = draw_start_and_roadmap(mission)
+        briefing = brief(mission, setup.priors_au, start_au, stream="planner")
+        reset = partial(setup.planner.reset, briefing, roadmap)
+        who = f"planner '{setup.planner.name}'"
+        await in_daemon_thread(reset, who, PlannerError, _RESET_LIMIT_S)
+        self._tell_resumed(frame)
+        ground.tell(frame, fence, roadmap)
+        self._patrol = Patrol(
+            setup,
+            self._supervisor,
+            self._events,
+            self._battery,
+            frame=frame,
+            fence=fence,
+            roadmap=roadmap,
+            start_au=start_au,
+        )
 
     async def _check_fitness(self, sight: Sight, frame: AreaFrame) -> None:
         """Tell what is not as it should be. Raises VehicleError where it must not fly so."""
-        setup, link = self._setup, self._link
-        away_m = math.dist(link.pose.position_ned_m[:2], frame.centre_ned_m)
-        problem = battery_problem(self._mission, away_m)
-        if problem and setup.history is None:  # else less is left to fly
-            raise setup.file.error(("area", "latitude_deg"), problem)
+        setup = self._setup
         findings = await find(setup, sight, frame=frame)
-        if error := refusal(findings, setup.file.path):
+        what = f"--resume {setup.folder}" if setup.history else str(setup.file.path)
+        if error := refusal(findings, what):
             raise error
         for finding in against(findings, Verdict.WARNING):
             self._events.note("preflight", str(finding), level="WARN")
 
-    async def _lay_area(self) -> AreaFrame:
-        """Lay the square over the ground, where it lay if the run goes on.
-
-        Its height is what the vehicle reads standing on it.
-        """
-        link, history = self._link, self._setup.history
-        laid = history.laid if history else None
-        is_same_clock = history is not None and history.go_over_to(link.time_s)
-        if laid and is_same_clock:
-            return laid.frame
-        if self._is_attached:
-            raise VehicleError(
-                "where its area lies is not known in the air: the vehicle has rebooted since, or "
-                "the run had not come so far; land it, then resume"
-            )
-        downs_m = [(await link.next_pose()).position_ned_m[2] for _ in range(_GROUND_POSES)]
-        centre = laid.centre if laid else None
-        return lay_area(self._mission, link.state, float(np.mean(downs_m)), centre)
-
-    async def _lay_fence(self, frame: AreaFrame) -> Fence:
-        """Have the vehicle keep the fence that the guard keeps; in the air it has it already."""
-        link, history = self._link, self._setup.history
-        if self._is_attached:
-            armed = history.armed if history else None
-            at_m = armed.home_ned_m if armed else None
-            return fence_around(self._mission, frame, link, armed_ned_m=at_m)
-        fence, origin = fence_around(self._mission, frame, link), link.state.origin
-        assert origin is not None  # wait_ready waited for it
-        await self._changes.lay_fence(polygon_items(fence.corners_deg(origin)))
-        return fence
-
-    def _tell_area(self, frame: AreaFrame, fence: Fence, roadmap: Roadmap) -> None:
-        """Tell of the area; the line of it has what a flight that goes on needs to know."""
-        self._events.emit(
-            AreaLaid(
-                area=frame,
-                footprint_radius_m=self._mission.sensor_radius_m,
-                fence_ned_m=fence.corners_ned_m,
-                nodes_au=roadmap.nodes_au,
-                edges=np.argwhere(roadmap.edge_lengths_au.toarray() > 0),
-            )
-        )
-        origin = self._link.state.origin
-        assert origin is not None  # as above
-        centre = ned_to_geo(np.array([*frame.centre_ned_m, frame.ground_down_m]), origin)
-        self._events.note(
-            "ready",
-            "the vehicle is ready, and has the flight's fence",
-            frame=asdict(frame),
-            centre=asdict(centre),
-            fence_ned_m=fence.corners_ned_m,
-        )
+    def _is_flown_already(self) -> bool:
+        """Whether a run that goes on from the ground has its last picture."""
+        tally, num_pictures = self._tally(), self._mission.num_pictures
+        return bool(tally and tally.num_pictures_due >= num_pictures) and not self._is_attached
 
     def _tell_resumed(self, frame: AreaFrame) -> None:
         """Tell where a run goes on, if one does."""
-        history = self._setup.history
-        if history and (tally := history.tally):
+        if self._history and (tally := self._history.tally):
             flown_au = tally.flown_m / frame.side_m
             old_s = self._link.time_s - tally.start_s - frame.au_to_s(tally.sightings.time_au)
             what = f"goes on at {flown_au:.1f} of {self._mission.horizon_au:g} au"
@@ -281,7 +250,7 @@ class _Flight:
         self._events.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
 
     async def _attach(self) -> None:
-        history = self._setup.history
+        history = self._history
         assert history is not None
         if not self._link.state.is_armed or self._link.state.landed is Landed.ON_GROUND:
             raise VehicleError("it has landed meanwhile: resume again once it is disarmed")
@@ -322,6 +291,8 @@ class _Flight:
         if self._supervisor.is_down or not self._supervisor.was_armed:
             try:
                 await self._changes.put_back()
+            except ChangesTaken:
+                pass  # by another program, before we changed anything; the flight's error says so
             except DronemonError as exc:
                 what = f"{exc}; what is not put back will be at the next start"
                 self._events.note("parameters", what, level="ERROR")
@@ -334,15 +305,16 @@ class _Flight:
 
     def _progress(self, phase: str) -> None:
         """Tell how far the flight is."""
-        if self._patrol is not None:
-            self._events.emit(self._patrol.progress(phase))
-            return
+        link, pose = self._link, self._link.pose if self._patrol else None
         self._events.emit(
-            Progressed(
-                phase=phase,
-                horizon_au=self._mission.horizon_au,
-                battery=self._link.state.battery,
-                since_seen_s={target.name: None for target in self._mission.targets},
+            progress(
+                phase,
+                self._mission,
+                self._tally(),
+                pose.time_s if pose else None,  # before, its clock may not be the run's
+                battery=link.state.battery,
+                battery_needed=self._battery.needed,
+                speed_m_s=pose.ground_speed_m_s if pose else 0.0,
             )
         )
 

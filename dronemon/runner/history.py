@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
+from dronemon.clock import machine_time
 from dronemon.errors import RecordError
 from dronemon.events import Stretch
-from dronemon.frames import AreaFrame, GeoPoint
+from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import Mission
 from dronemon.recorder import RunFolder
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement, Vector3
 
-_CLOCK_DOUBT_S = 5.0
+GOING_ON = "resuming"
+"""Kind of the first event of every flight but a run's first: the vehicle's clock may be another."""
+_CLOCK_DOUBT_S, _ORIGIN_DOUBT_M = 5.0, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Laid:
-    """Where the area was laid: in the local frame of then, and its centre on the globe."""
+    """Where the area was laid, in the local frame of then; its centre on the globe.
+
+    fence_ned_m: (n, 2) corners of the fence that the vehicle was given
+    """
 
     frame: AreaFrame
     centre: GeoPoint
+    fence_ned_m: FloatArray
+
+    def holds_with(self, origin: GeoPoint) -> bool:
+        """Whether the local frame of then is that of this origin."""
+        here_m = geo_to_ned(self.centre, origin)[:2]
+        return math.dist(here_m, self.frame.centre_ned_m) < _ORIGIN_DOUBT_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,15 +57,24 @@ class Newest:
     """The newest that a run says of its vehicle's clock.
 
     time_s, wall: newest vehicle time, and the wall time at which it was
+    boot, up_s:   the same by the machine's clock, see `machine_time`
     start_s:      vehicle time at which the patrol began, None if it had not
     """
 
     time_s: float
     wall: datetime
+    boot: str
+    up_s: float
     start_s: float | None
 
     def now_s(self) -> float:
-        """What the vehicle's clock shows now, if it has gone on."""
+        """What the vehicle's clock shows now, if it has gone on.
+
+        By the wall clock, which may have been set since, only where the machine was started anew.
+        """
+        boot, up_s = machine_time()
+        if boot and boot == self.boot:
+            return self.time_s + up_s - self.up_s
         return self.time_s + max((datetime.now(UTC) - self.wall).total_seconds(), 0.0)
 
 
@@ -59,6 +83,7 @@ class History:
     """Where a run goes on from.
 
     laid, armed:       None if it did not come so far
+    hardware:          the vehicle's board, None if it did not say
     tally:             what the patrol had come to; None if it had not begun
     waypoint_au, node: where the drone was flying to
     """
@@ -66,17 +91,23 @@ class History:
     newest: Newest
     laid: Laid | None
     armed: Armed | None
+    hardware: str | None
     tally: Tally | None
     waypoint_au: FloatArray | None
     node: int | None
 
-    def go_over_to(self, clock_s: float) -> bool:
+    def is_other(self, hardware: str | None) -> bool:
+        """Whether that is not the board of the vehicle that flew so far; no if one is unknown."""
+        return None not in {hardware, self.hardware} and hardware != self.hardware
+
+    def go_over_to(self, clock_s: float, hardware: str | None) -> bool:
         """Go over to the clock that a vehicle shows now. -> whether it is the one of then
 
         A vehicle that was switched off since has a new one: it shows less than has passed.
         """
         then_s, now_s = self.newest.time_s, self.newest.now_s()
-        is_same = clock_s >= max(then_s, now_s - _CLOCK_DOUBT_S)
+        is_on = clock_s >= max(then_s, now_s - _CLOCK_DOUBT_S)
+        is_same = is_on and not self.is_other(hardware)
         if not is_same and self.tally is not None:
             self.tally.start_s += clock_s - now_s
             for name in self.tally.last_seen_s:
@@ -88,27 +119,63 @@ def read_newest(folder: RunFolder) -> Newest:
     """When a run that is to go on was left. Raises RecordError if nothing is left to fly."""
     if folder.summary().get("outcome") == "completed":
         raise RecordError(f"{folder.path} is completed: nothing is left to fly")
-    events = [event for event in folder.events() if event["time_s"] is not None]
-    if not events:
+    with understanding(folder):
+        return _newest(folder, folder.events())
+
+
+@contextlib.contextmanager
+def understanding(folder: RunFolder) -> Iterator[None]:
+    """Lines are read meanwhile. Raises RecordError for those of another version."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError) as exc:
+        raise RecordError(
+            f"{folder.path}: its lines are not those of this version ({exc!r})"
+        ) from exc
+
+
+def _newest(folder: RunFolder, events: Iterable[Mapping[str, Any]]) -> Newest:
+    """By the clock in which area and patrol are told: before the vehicle rebooted, if it did.
+
+    A flight that goes on may meet another clock; what it tells before it is ready, where it goes
+    over to that, counts only if it becomes ready.
+    """
+    flights: list[list[Mapping[str, Any]]] = [[]]
+    for event in events:
+        if event["kind"] == GOING_ON:
+            flights.append([])
+        flights[-1].append(event)
+    while len(flights) > 1 and all(event["kind"] != "ready" for event in flights[-1]):
+        flights.pop()
+    heard = [event for event in flights[-1] if event["time_s"] is not None]
+    if not heard:
         raise RecordError(f"the vehicle of {folder.path} was not heard: fly the mission anew")
-    start_s = next((e["start_s"] for e in reversed(events) if "start_s" in e), None)
-    wall = datetime.fromisoformat(events[-1]["wall"])
-    return Newest(time_s=events[-1]["time_s"], wall=wall, start_s=start_s)
+    newest = heard[0]
+    for event in heard:
+        if event["time_s"] < newest["time_s"]:
+            break
+        if event["time_s"] > newest["time_s"]:  # else told again, as nothing newer was heard
+            newest = event
+    starts_s = (e["start_s"] for flight in flights for e in flight if "start_s" in e)
+    return Newest(
+        time_s=newest["time_s"],
+        wall=datetime.fromisoformat(newest["wall"]),
+        boot=newest["boot"],
+        up_s=newest["up_s"],
+        start_s=next(iter(deque(starts_s, maxlen=1)), None),
+    )
 
 
 def read_history(folder: RunFolder, mission: Mission, priors_au: FloatArray) -> History:
     """Read a run that is to go on. priors_au: (N, 2) NaN where unknown. Raises RecordError."""
-    newest = read_newest(folder)
-    try:
-        return _read(folder, newest, mission, priors_au)
-    except (LookupError, TypeError, ValueError) as exc:
-        raise RecordError(
-            f"{folder.path} cannot go on: its lines are not those of this version ({exc!r})"
-        ) from exc
+    with understanding(folder):
+        return _read(folder, mission, priors_au)
 
 
-def _read(folder: RunFolder, newest: Newest, mission: Mission, priors_au: FloatArray) -> History:
-    latest = {event["kind"]: event for event in folder.events()}
+def _read(folder: RunFolder, mission: Mission, priors_au: FloatArray) -> History:
+    events = list(folder.events())
+    newest = _newest(folder, events)
+    latest = {event["kind"]: event for event in events}
     laid = _laid(latest["ready"]) if "ready" in latest else None
     armed = latest.get("armed")
     decisions = list(folder.decisions())
@@ -117,12 +184,14 @@ def _read(folder: RunFolder, newest: Newest, mission: Mission, priors_au: FloatA
         tally = Tally(start_s=newest.start_s, sightings=Sightings(priors_au))
         tally.decision_ms.extend(decision["decision_ms"] for decision in decisions)
         _recall(tally, folder, laid.frame, [target.name for target in mission.targets])
+        tally.num_before = len(tally.sightings)
     return History(
         newest=newest,
         laid=laid,
         armed=Armed(time_s=armed["time_s"], home_ned_m=tuple(armed["home_ned_m"]))
         if armed
         else None,
+        hardware=latest["ready"]["hardware"] if "ready" in latest else None,
         tally=tally,
         waypoint_au=np.array(decisions[-1]["waypoint_au"]) if decisions else None,
         node=decisions[-1]["node"] if decisions else None,
@@ -134,24 +203,30 @@ def _laid(event: Mapping[str, Any]) -> Laid:
     return Laid(
         frame=AreaFrame(**{**frame, "centre_ned_m": tuple(frame["centre_ned_m"])}),
         centre=GeoPoint(**event["centre"]),
+        fence_ned_m=np.array(event["fence_ned_m"], dtype=np.float64),
+    )
+
+
+def measurement_of(line: Mapping[str, Any], names: Sequence[str]) -> Measurement:
+    """What a line of observations says of the targets of these names."""
+    targets = [line["targets"][name] for name in names]
+    places = [target["position_au"] or (np.nan, np.nan) for target in targets]
+    return Measurement(
+        time_au=line["time_au"],
+        agent_au=np.array(line["agent_au"]),
+        seen=np.array([target["seen"] for target in targets], dtype=np.bool_),
+        target_au=np.array(places, dtype=np.float64),
     )
 
 
 def _recall(tally: Tally, folder: RunFolder, frame: AreaFrame, names: list[str]) -> None:
     """Take the measurements into a tally."""
     for line in folder.observations():
-        targets = [line["targets"][name] for name in names]
-        places = [target["position_au"] or (np.nan, np.nan) for target in targets]
-        measurement = Measurement(
-            time_au=line["time_au"],
-            agent_au=np.array(line["agent_au"]),
-            seen=np.array([target["seen"] for target in targets], dtype=np.bool_),
-            target_au=np.array(places, dtype=np.float64),
-        )
+        measurement = measurement_of(line, names)
         tally.sightings.add(measurement)
         stretch = Stretch(**line["stretch"])
         tally.go_on_from(stretch)
         tally.measure(line["time_s"], stretch.pictured_m, ())
         now_s = tally.start_s + frame.au_to_s(measurement.time_au)  # by the newest clock
-        seen = (name for name, target in zip(names, targets, strict=True) if target["seen"])
+        seen = (name for name, is_seen in zip(names, measurement.seen, strict=True) if is_seen)
         tally.last_seen_s |= dict.fromkeys(seen, now_s)

@@ -8,7 +8,6 @@ import math
 import shutil
 from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 from dronemon.camera import check_picture
 from dronemon.errors import CameraError, DronemonError, LinkLost, VehicleError
@@ -30,7 +29,7 @@ from dronemon.recorder import NEEDED_BYTES
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, try_detector
 from dronemon.runner.supervisor import FAILSAFE_HOLD_LIMIT_S
-from dronemon.types import Picture, Vector3
+from dronemon.types import Picture
 from dronemon.vehicle import VehicleLink, VehicleState
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import areas_of
@@ -84,17 +83,13 @@ def fence_around(
     frame: AreaFrame,
     link: VehicleLink,
     margin_m: float | None = None,
-    armed_ned_m: Vector3 | None = None,
 ) -> Fence:
-    """The flight's fence; margin_m: the mission's unless it is given.
-
-    armed_ned_m: where it was armed, unless it will be where it stands
-    """
+    """The flight's fence; margin_m: the mission's unless it is given."""
     state, flight = link.state, mission.flight
     assert state.home is not None  # as above
     assert state.origin is not None
     north_m, east_m, _ = geo_to_ned(state.home, state.origin)
-    stands_m = (armed_ned_m or link.pose.position_ned_m)[:2]  # home is there once it is armed
+    stands_m = link.pose.position_ned_m[:2]  # home is there once it is armed
     return Fence.around(
         frame,
         [(float(north_m), float(east_m)), stands_m],
@@ -114,6 +109,16 @@ async def _own_fence(mission: Mission, frame: AreaFrame, link: VehicleLink) -> O
     return OwnFence(num_areas=len(areas), num_against=num_against, num_near=num_near - num_against)
 
 
+def what_is_left(setup: FlightSetup) -> Mission:
+    """The mission, of a run that goes on with what is left of its horizon."""
+    mission, history = setup.file.mission, setup.history
+    if history is None or history.tally is None:
+        return mission
+    left_au = mission.horizon_au - history.tally.flown_m / mission.area.side_m
+    horizon = {"horizon_au": max(left_au, 0.0), "horizon_min": None}
+    return mission.model_copy(update={"flight": mission.flight.model_copy(update=horizon)})
+
+
 async def find(
     setup: FlightSetup,
     sight: Sight | CameraError,
@@ -126,7 +131,7 @@ async def find(
 
     frame: the area as it is laid; None where it is not known where the vehicle is
     """
-    link, mission = setup.link, setup.file.mission
+    link, mission = setup.link, what_is_left(setup)
     parameters = await link.read_parameters(PARAMETERS)
     away_m, own_fence = 0.0, None
     if frame is not None:
@@ -152,13 +157,16 @@ async def find(
     return judge(facts, mission)
 
 
-def refusal(findings: Sequence[Finding], mission: Path) -> VehicleError | None:
-    """Why the flight must not begin, and the command that mends it; None if it may."""
+def refusal(findings: Sequence[Finding], what: str) -> VehicleError | None:
+    """Why the flight must not begin, and the command that mends it; None if it may.
+
+    what: is flown, as `dronemon fly` is given it
+    """
     reasons = against(findings, Verdict.NO_GO)
     if not reasons:
         return None
     options = mending_options(reasons)
-    mend = f"\nfor this flight: dronemon fly {mission} {options}" if options else ""
+    mend = f"\nfor this flight: dronemon fly {what} {options}" if options else ""
     return VehicleError("no-go: " + "; ".join(map(str, reasons)) + mend)
 
 
@@ -173,31 +181,35 @@ async def _problem(step: Awaitable[object]) -> str | None:
     return None
 
 
-async def inspect_vehicle(setup: FlightSetup, tell: Callable[[str], None]) -> tuple[Finding, ...]:
+async def inspect_vehicle(
+    setup: FlightSetup,
+    tell: Callable[[str], None],
+    show: Callable[[Sequence[Finding]], None],
+) -> tuple[Finding, ...]:
     """All that is asked before a take-off, without one; settings are put back in the end.
 
-    tell: is told in words what is changed on the vehicle. Raises DronemonError where nothing can be
-    asked, such as LinkLost.
+    tell: is told in words what is changed on the vehicle; show: what is found, while it is so
+    Raises DronemonError where nothing can be asked, such as LinkLost.
     """
     mission, link = setup.file.mission, setup.link
     try_it = partial(try_detector, mission, setup.detector)
     tried = in_daemon_thread(try_it, "the detector", CameraError, _DETECTOR_LIMIT_S)
     detector = await _problem(tried)
     unready = await _problem(link.wait_ready(mission.vehicle.ready_timeout_s))
-    changes = Changes(link, tell)
-    await changes.put_back()
-    try:
-        await changes.make(setup.settings)
-        async with contextlib.AsyncExitStack() as stack:
-            sight: Sight | CameraError
-            try:
-                await stack.enter_async_context(setup.camera)
-                sight = await look(setup)
-            except CameraError as exc:
-                sight = exc
-            frame = None
-            if link.state.home and link.state.origin and not unready:
-                frame = lay_area(mission, link.state, link.pose.position_ned_m[2])
-            return await find(setup, sight, frame=frame, unready=unready, detector=detector)
-    finally:
+    async with contextlib.AsyncExitStack() as stack:
+        changes = stack.enter_context(Changes(link, tell))
         await changes.put_back()
+        stack.push_async_callback(changes.put_back)
+        await changes.make(setup.settings)
+        sight: Sight | CameraError
+        try:
+            await stack.enter_async_context(setup.camera)
+            sight = await look(setup)
+        except CameraError as exc:
+            sight = exc
+        frame = None
+        if link.state.home and link.state.origin and not unready:
+            frame = lay_area(mission, link.state, link.pose.position_ned_m[2])
+        findings = await find(setup, sight, frame=frame, unready=unready, detector=detector)
+        show(findings)
+        return findings

@@ -14,7 +14,7 @@ from functools import partial
 
 from dronemon.arena import ARENA
 from dronemon.errors import PlannerError
-from dronemon.events import Decided, EventStream, Moved, Progressed
+from dronemon.events import Decided, EventStream, Moved
 from dronemon.fence import Fence
 from dronemon.frames import AreaFrame
 from dronemon.guard import Action
@@ -82,16 +82,14 @@ class Patrol:
         history = setup.history
         self.tally = history.tally if history else None
         self._observer = Observer(setup, events, frame, battery, self.tally)
-        self._names = tuple(target.name for target in self._mission.targets)
         self._horizon_m = self._mission.horizon_au * frame.side_m
-        self._num_pictures = math.floor(self._mission.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-6)
+        self._num_pictures = self._mission.num_pictures
         self._down_m = frame.ground_down_m - self._mission.flight.altitude_m
         self._waypoint_au = start_au
         self._node: int | None = 0
         if history and history.waypoint_au is not None:
             self._waypoint_au, self._node = history.waypoint_au, history.node
         self._last_pose: Pose | None = None
-        self._last_setpoint_s = -math.inf
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_due = self._is_planner_asked = self._is_slowness_told = False
         self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
@@ -104,6 +102,7 @@ class Patrol:
         Raises what the vehicle, the camera, the planner or the recorder raise.
         """
         self._last_pose, self._waiting_since = None, None
+        self._last_setpoint_s = -math.inf
         self._is_waypoint_due = self._is_planner_asked = False
         self._observer.resume()
         self._work.set()
@@ -167,6 +166,9 @@ class Patrol:
             if last is not None and self.tally is not None:
                 self.tally.move(last, pose)
             self._events.emit(Moved(pose=pose))
+            duration_s = pose.time_s - self._last_setpoint_s
+            if duration_s < SETPOINT_INTERVAL_S:
+                continue
             advice = self._supervisor.ask(
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
@@ -178,9 +180,6 @@ class Patrol:
             )
             if advice.action is not Action.GO_ON:
                 return
-            duration_s = pose.time_s - self._last_setpoint_s
-            if duration_s < SETPOINT_INTERVAL_S:
-                continue
             self._last_setpoint_s = pose.time_s
             if self._link.state.num_resets != self._num_resets:
                 self._events.note("position", "the estimate moved; so does the path", level="WARN")
@@ -300,7 +299,8 @@ class Patrol:
         if self.tally is None:
             self.tally = Tally(start_s=now_s, sightings=self._observer.belief.sightings)
             self._observer.tally = self.tally
-            self._events.note("patrol", "the patrol begins", start_s=now_s)
+            priors_au = self._setup.priors_au
+            self._events.note("patrol", "the patrol begins", start_s=now_s, priors_au=priors_au)
         snapshot = self._snapshot(self.tally, now_s)
         began = time.perf_counter()
         waypoint = await in_daemon_thread(
@@ -354,23 +354,6 @@ class Patrol:
             belief=self._observer.belief,
             roadmap=self._roadmap,
             remaining_au=max(self._mission.horizon_au - flown_au, 0.0),
-        )
-
-    def progress(self, phase: str) -> Progressed:
-        """How far the patrol is, as a line of progress of any phase."""
-        horizon_au, pose, tally = self._mission.horizon_au, self._link.pose, self.tally
-        flown_au = tally.flown_m / self._frame.side_m if tally else 0.0
-        return Progressed(
-            phase=phase,
-            flown_au=flown_au,
-            horizon_au=horizon_au,
-            left_s=self._frame.au_to_s(max(horizon_au - flown_au, 0.0)),
-            speed_m_s=pose.ground_speed_m_s,
-            battery=self._link.state.battery,
-            battery_needed=self._battery.needed,
-            since_seen_s=tally.since_seen_s(self._names, pose.time_s)
-            if tally
-            else dict.fromkeys(self._names),
         )
 
 

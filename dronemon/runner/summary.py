@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ import torch
 
 from dronemon.belief import Belief, Matern32
 from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
+from dronemon.events import TruthTold
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.runner.flight import FlightResult
 from dronemon.runner.last_seen import LastSeen
@@ -62,6 +63,7 @@ class Summary:
     is_landed: bool
     last_seen: LastSeen | None
     landing_error_m: float | None
+    landing_battery: float | None
     error: str | None
     flown: Flown | None
     score: Score | None
@@ -69,7 +71,8 @@ class Summary:
     def as_json(self) -> dict[str, object]:
         """Every figure by name, as summary.json has them after the outcome."""
         parts = [asdict(part) for part in (self.flown, self.score) if part is not None]
-        head = {name: getattr(self, name) for name in ("is_landed", "landing_error_m", "error")}
+        names = ("is_landed", "landing_error_m", "landing_battery", "error")
+        head = {name: getattr(self, name) for name in names}
         if self.last_seen is not None:
             head["last_seen"] = asdict(self.last_seen)
         return head | {name: value for part in parts for name, value in part.items()}
@@ -78,14 +81,14 @@ class Summary:
 def summarise(
     result: FlightResult,
     *,
-    truth: Mapping[float, FloatArray],
+    truth: Sequence[TruthTold],
     side_m: float,
     target_names: tuple[str, ...],
     kernel: Matern32,
 ) -> Summary:
     """Sum a flight up.
 
-    truth: capture time -> (N, 2) au true positions; empty where there is no simulator
+    truth: where the targets were at each picture, in order; empty where there is no simulator
     """
     tally = result.tally
     return Summary(
@@ -93,6 +96,7 @@ def summarise(
         is_landed=result.is_landed,
         last_seen=result.last_seen,
         landing_error_m=result.landing_error_m,
+        landing_battery=result.landing_battery,
         error=str(result.error) if result.error else None,
         flown=_flown(tally, side_m, target_names) if tally else None,
         score=_score(tally, truth, kernel) if tally else None,
@@ -121,10 +125,14 @@ def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
     )
 
 
-def _score(tally: Tally, truth: Mapping[float, FloatArray], kernel: Matern32) -> Score:
+def _score(tally: Tally, truth: Sequence[TruthTold], kernel: Matern32) -> Score:
     """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth."""
     sightings = tally.sightings
-    true_au = [truth.get(round(time_s, 6)) for time_s in tally.times_s]
+    told = iter(truth)  # a vehicle that was switched off tells some times twice
+    true_au = [
+        next((t.targets_au for t in told if abs(t.time_s - time_s) < 1e-6), None)
+        for time_s in tally.times_s
+    ]
     if not sightings or any(positions is None for positions in true_au):
         return Score()
     replayed = Sightings(sightings.priors_au)
@@ -161,6 +169,7 @@ def facts(summary: Summary) -> dict[str, str]:
 
     table = {"outcome": summary.outcome}
     show("landing", "{:.1f} m from home", "landing_error_m")
+    show("battery after it", "{:.0%}", "landing_battery")
     show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
     show("ground speed", "{:.2f} m/s, p99 {:.2f} m/s", "mean_speed_m_s", "speed_p99_m_s")
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")

@@ -328,7 +328,7 @@ class Supervisor:
 
     def _end(self, reason: Reason) -> None:
         """The last state is known: what the program says from now on is about the past."""
-        if self.state is State.PILOT and self._before in MISSION:
+        if self.state is State.PILOT and (self._before in MISSION or self.outcome == "battery low"):
             self.outcome = _OUTCOMES.get(reason, "failed")
         if reason in {Reason.LOST_FOR_GOOD, Reason.LEFT}:
             self.error = self.error or self._problem

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dronemon.events import Stretch
+from dronemon.events import Progressed, Stretch
+from dronemon.mission import Mission
 from dronemon.sightings import Sightings
 from dronemon.types import Pose
 
@@ -30,6 +31,7 @@ class Tally:
     start_s: vehicle time at which it began; sightings: the mission's log, and
     times_s, pictured_m: vehicle time of each measurement in it and distance flown by then;
     speeds_m_s: over ground, at each pose; cross_track_m: at each setpoint.
+    num_before: measurements of the flights before, where this one goes on with a run.
     """
 
     start_s: float
@@ -40,6 +42,7 @@ class Tally:
     pictured_m: array[float] = field(default_factory=_numbers)
     last_seen_s: dict[str, float] = field(default_factory=dict)
     num_pictures_due: int = 0
+    num_before: int = 0
     speeds_m_s: array[float] = field(default_factory=_small_numbers)
     decision_ms: array[float] = field(default_factory=_numbers)
     cross_track_m: array[float] = field(default_factory=_small_numbers)
@@ -60,7 +63,9 @@ class Tally:
     def stretch(self, time_s: float) -> Stretch:
         """What is new at a measurement of an instant in the recent past, later than the last."""
         is_flown = len(self.recent_s) > 0
-        flown_m = np.interp(time_s, self.recent_s, self.recent_m) if is_flown else self.flown_m
+        # Copies: an array that numpy looks at cannot grow, not even while a debugger holds a frame.
+        known = np.array(self.recent_s), np.array(self.recent_m)
+        flown_m = np.interp(time_s, *known) if is_flown else self.flown_m
         passed = max(bisect(self.recent_s, time_s) - 1, 0)
         del self.recent_s[:passed], self.recent_m[:passed]
         speeds, crosses = self._num_told
@@ -88,7 +93,38 @@ class Tally:
         self.cross_track_m.extend(stretch.cross_track_m)
         self._num_told = len(self.speeds_m_s), len(self.cross_track_m)
 
-    def since_seen_s(self, names: tuple[str, ...], now_s: float) -> Mapping[str, float | None]:
+    def since_seen_s(self, names: Iterable[str], now_s: float) -> Mapping[str, float | None]:
         """Seconds since each target was seen; None: never."""
         last_s = self.last_seen_s
         return {name: now_s - last_s[name] if name in last_s else None for name in names}
+
+
+def progress(
+    phase: str,
+    mission: Mission,
+    tally: Tally | None,
+    now_s: float | None,
+    *,
+    battery: float | None,
+    battery_needed: float = 0.0,
+    speed_m_s: float = 0.0,
+) -> Progressed:
+    """How far a patrol is, in any phase.
+
+    tally: None if it has not begun; now_s: by its clock, None where that is not known
+    """
+    names = [target.name for target in mission.targets]
+    flown_au = tally.flown_m / mission.area.side_m if tally else 0.0
+    left_m = max(mission.horizon_au - flown_au, 0.0) * mission.area.side_m
+    return Progressed(
+        phase=phase,
+        flown_au=flown_au,
+        horizon_au=mission.horizon_au,
+        left_s=left_m / mission.flight.cruise_speed_m_s,
+        speed_m_s=speed_m_s,
+        battery=battery,
+        battery_needed=battery_needed,
+        since_seen_s=tally.since_seen_s(names, now_s)
+        if tally and now_s is not None
+        else dict.fromkeys(names),
+    )

@@ -14,6 +14,7 @@ import torch
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from dronemon.errors import OptionError
 from dronemon.terminal import LenientConsole
 from dronemon.training.recipe import load_recipe
 from dronemon.training.train import METRICS, Listener, Plan, train
@@ -24,7 +25,12 @@ _SHOWN = ("unc", "imitation_loss", "regret", "agreement", "kl", "val_unc", "deci
 
 
 RecipeOption = Annotated[
-    str, typer.Option(help="A recipe file, or a shipped one: paper, expert, stamp.")
+    str,
+    typer.Option(
+        help="A recipe file, or a shipped one: paper, expert, stamp, table2, table2-no-predictions,"
+        " table2-lstm. Several, separated by commas, are trained one after another, each for these "
+        "minutes, in folders of their names."
+    ),
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the run; a run found there goes on.")]
 MinutesOption = Annotated[float, typer.Option(min=0.1, help="Time budget, over all resumptions.")]
@@ -60,25 +66,38 @@ def train_command(
 
     Several GPUs: torchrun --nproc-per-node 4 -m dronemon.training --recipe paper ...
     """
-    plan = Plan(
-        out=out,
-        recipe=load_recipe(recipe),
-        start=start,
-        minutes=minutes,
-        seed=seed,
-        device=device,
-        num_workers=workers if workers is not None else num_cores(),
-        validation_minutes=validation_minutes,
-        validation_episodes=validation_episodes,
-    )
+    names = _names(recipe)
+    plans = [
+        Plan(
+            out=out if len(names) == 1 else out / Path(name).stem,
+            recipe=load_recipe(name),
+            start=start,
+            minutes=minutes,
+            seed=seed,
+            device=device,
+            num_workers=workers if workers is not None else num_cores(),
+            validation_minutes=validation_minutes,
+            validation_episodes=validation_episodes,
+        )
+        for name in names
+    ]
     _keep_freed_memory()
     if "WORLD_SIZE" in os.environ:
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
     console = LenientConsole(quiet=os.environ.get("RANK", "0") != "0")
-    with _display(console) as display:
-        best = train(plan, command=_command(), listen=display)
-    if best.exists():
-        console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
+    for plan in plans:
+        with _display(console) as display:
+            best = train(plan, command=_command(), listen=display)
+        if best.exists():
+            console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
+
+
+def _names(recipes: str) -> list[str]:
+    """The recipes named. Raises OptionError where two would share a folder."""
+    names = [name.strip() for name in recipes.split(",")]
+    if len({Path(name).stem for name in names}) < len(names):
+        raise OptionError(f"--recipe {recipes}: two have the same name, and so the same folder")
+    return names
 
 
 def _command() -> str:

@@ -43,6 +43,7 @@ from dronemon.training.ppo import (
     Ppo,
     PpoConfig,
     Precision,
+    Priors,
     Share,
     Speeds,
     entropy,
@@ -74,6 +75,7 @@ _NO_CARD = Card(recipe="expert", command="", commit="", date="", seeds="")
 class ExpertConfig:
     """Settings of the recipe; ranges are inclusive, episodes count over all processes.
 
+    num_nodes:       drawn evenly by its logarithm, since large roadmaps take most of the time
     round_episodes:  taught each round
     lesson_episodes: of them with the same V, N and T
     taught_shares:   of episodes that the teacher flies, each from a round on
@@ -107,6 +109,7 @@ class ExpertConfig:
     num_nodes: Counts = (150, 200)
     history: Counts = (50, 100)
     num_targets: Counts = (2, 8)
+    priors: Priors = ("full",)
     finish: PpoConfig = FINISH
 
     @property
@@ -284,9 +287,9 @@ def _give(
     """Give the lesson that follows from a seed and write it to a file."""
     (seed, path), count = job, config.lesson_episodes
     rng = np.random.default_rng(seed)
-    num_nodes, history, num_targets = (
-        int(rng.integers(low, high + 1))
-        for low, high in (config.num_nodes, config.history, config.num_targets)
+    num_nodes = round(math.exp(rng.uniform(*np.log(config.num_nodes))))
+    history, num_targets = (
+        int(rng.integers(low, high + 1)) for low, high in (config.history, config.num_targets)
     )
     setups = [
         Setup(
@@ -294,6 +297,7 @@ def _give(
             num_targets=num_targets,
             num_nodes=num_nodes,
             speed_ratio=float(rng.uniform(*config.speed_ratio)),
+            prior=config.priors[int(rng.integers(len(config.priors)))],
         )
         for _ in range(count)
     ]

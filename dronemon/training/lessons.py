@@ -24,7 +24,7 @@ from dronemon.policy import Graphs, PolicyNetwork, Segment, Verdict
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.training.rollout import Rollout, play
-from dronemon.world import Instance, measure, sample_leg
+from dronemon.world import Instance, Roster, measure, sample_leg
 
 NUM_NEIGHBOURS = 10
 NUM_PLANNERS = 2
@@ -63,14 +63,15 @@ class Teacher:
         self._roadmap = Roadmap.random(
             setup.num_nodes, NUM_NEIGHBOURS, instance.stream("roadmap"), instance.start_au
         )
-        priors_au = self._targets.positions_au(0.0)
+        self._roster = Roster(setup.prior, self._targets.positions_au(0.0))
+        priors_au = self._roster.priors_au
         self._sightings = Sightings(priors_au)
         self._belief = Belief(self._sightings)
         self._planners = [RoadmapSearchPlanner(settings) for _ in range(NUM_PLANNERS)]
         for index, planner in enumerate(self._planners):
             planner.reset(
                 Briefing(
-                    num_targets=setup.num_targets,
+                    num_targets=len(priors_au),
                     priors_au=priors_au,
                     start_au=instance.start_au,
                     horizon_au=np.inf,
@@ -90,7 +91,7 @@ class Teacher:
         for offset_au, agent_au in zip(leg.offsets_au, leg.positions_au, strict=True):
             at_au = self._time_au + float(offset_au)
             targets_au = self._targets.positions_au(self._speed_ratio * at_au)
-            self._sightings.add(measure(at_au, agent_au, targets_au))
+            self._sightings.add(self._roster.tell(measure(at_au, agent_au, targets_au)))
         self._residual_au, self._time_au, self._node = leg.residual_au, time_au, node
         snapshot = Snapshot(
             time_au=time_au,

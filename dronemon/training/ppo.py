@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -19,13 +20,11 @@ from torch.optim.swa_utils import AveragedModel
 
 from dronemon.env import Env, Setup
 from dronemon.policy import PolicyNetwork, Segment, Verdict
-from dronemon.problem import FIRST_TRAINING_SEED
+from dronemon.problem import FIRST_TRAINING_SEED, Prior
 from dronemon.training.gae import advantages
 from dronemon.training.peers import Peers
 from dronemon.training.rollout import Rollout, play, sampled
 
-AVERAGE_DECAY = 0.998
-"""Of the moving average of the weights, an update later."""
 Precision = Literal["float32", "bfloat16"]
 """What matrix products are computed in while learning; weights and logits are always float32."""
 
@@ -42,12 +41,15 @@ def _rising(bounds: tuple[float, float]) -> tuple[float, float]:
 
 Counts = Annotated[tuple[Count, Count], AfterValidator(_rising)]
 Speeds = Annotated[tuple[Share, Share], AfterValidator(_rising)]
+Priors = Annotated[tuple[Prior, ...], Field(min_length=1)]
+"""What may be known at the start; each episode draws one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PpoConfig:
     """The paper's settings. Ranges are inclusive; episodes and iterations count over all processes.
 
+    averaging:           share of the weights' moving average that an update leaves
     curriculum_episodes: over which the greatest target speed rises from 0 to max_speed_ratio
     objective:           `fall` is the paper's reward, `unc` minus the mean of sigma_bar on the leg
     """
@@ -59,6 +61,10 @@ class PpoConfig:
     discount: Share = 0.99
     # Differs from STAMP: lambda is 0 in the release and 1 in the paper's text.
     lam: Share = 0.95
+    # Differs from STAMP: neither paper nor release does this.
+    normalise_advantages: bool = True
+    # Differs from STAMP: what is judged and kept is an average, which wavers less; 0 ends that.
+    averaging: Share = 0.998
     clip: Positive = 0.2
     value_weight: float = 0.2
     entropy_weight: float = 0.0
@@ -73,6 +79,7 @@ class PpoConfig:
     num_nodes: Counts = (100, 200)
     history: Counts = (50, 100)
     num_targets: Counts = (2, 5)
+    priors: Priors = ("full",)
     objective: Literal["fall", "unc"] = "fall"
     reward_scale: float = 5.0
     decision_cost: float = 0.1
@@ -84,8 +91,7 @@ class Ppo:
 
     def __init__(self, network: PolicyNetwork, config: PpoConfig, peers: Peers, seed: int) -> None:
         self.network = network
-        # Differs from STAMP: what is judged and kept is an average, which wavers less.
-        self.average = AveragedModel(network, avg_fn=_averaged)
+        self.average = AveragedModel(network, avg_fn=partial(_averaged, config.averaging))
         self.config = config
         self._peers = peers
         self._seed = seed
@@ -140,6 +146,7 @@ class Ppo:
                 num_targets=num_targets,
                 num_nodes=num_nodes,
                 speed_ratio=float(common.uniform(0.0, config.max_speed_ratio * risen)),
+                prior=config.priors[int(common.integers(len(config.priors)))],
             )
             for i in range(share)
         ]
@@ -157,7 +164,8 @@ class Ppo:
         config, device = self.config, self._peers.device
         gains = rollout_advantages(rollout, config, config.lam)
         returns = gains + rollout.values[:, :-1]
-        gains = (gains - gains.mean()) / (gains.std() + 1e-6)
+        if config.normalise_advantages:
+            gains = (gains - gains.mean()) / (gains.std() + 1e-6)
         old = _log_chance(rollout.logits, rollout.actions)
         order = torch.Generator().manual_seed(self._num_iterations)
         updates: list[dict[str, Tensor]] = []
@@ -237,9 +245,9 @@ def in_precision(precision: Precision, device: torch.device) -> torch.autocast:
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=is_narrow)
 
 
-def _averaged(mean: Tensor, weight: Tensor, count: Tensor | int) -> Tensor:
-    """Moving average of a weight, over fewer updates while they are few."""
-    decay = min(AVERAGE_DECAY, (1.0 + float(count)) / (10.0 + float(count)))
+def _averaged(most: float, mean: Tensor, weight: Tensor, count: Tensor | int) -> Tensor:
+    """Moving average of a weight, over fewer updates while they are few. most: share it keeps."""
+    decay = min(most, (1.0 + float(count)) / (10.0 + float(count)))
     return torch.lerp(weight, mean, decay)
 
 

@@ -45,7 +45,12 @@ class Recipe:
         """What a network that learned so was trained for."""
         how = self.settings
         speeds = (0.0, how.max_speed_ratio) if isinstance(how, PpoConfig) else how.speed_ratio
-        return Scope(num_targets=how.num_targets, num_nodes=how.num_nodes, speed_ratio=speeds)
+        return Scope(
+            num_targets=how.num_targets,
+            num_nodes=how.num_nodes,
+            speed_ratio=speeds,
+            priors=how.priors,
+        )
 
     @property
     def text(self) -> str:

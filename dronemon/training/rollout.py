@@ -71,7 +71,7 @@ def play(
         segment=Segment(
             graphs=env.graphs,
             frames=frames,
-            target_mask=seen[0].target_mask,
+            target_mask=torch.stack([o.target_mask for o in seen[:-1]], dim=1),
             flown=(lengths_au[:, :-1] / WINDOW_AU).to(frames.dtype),
             nodes=torch.stack([o.node for o in seen[:-1]], dim=1),
             tracks=torch.stack([o.tracks for o in seen[:-1]], dim=1),

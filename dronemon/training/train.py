@@ -8,6 +8,7 @@ with the lowest `val_unc` so far, and their card.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -17,6 +18,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryFile
+from threading import Event, Thread
 from typing import Any
 
 import torch
@@ -67,6 +69,7 @@ METRICS: dict[str, str] = {
 }
 """Every number that training logs, and what it means."""
 STATE_FORMAT = "dronemon training 3"
+SPENT_FILE, NOTE_INTERVAL_S = "spent_s", 2.0
 Listener = Callable[[float, Mapping[str, float]], None]
 """Hears of each iteration: the share of the time budget that is spent, and its metrics."""
 
@@ -140,6 +143,8 @@ class _Training:
         peers.share_weights(self._network)
         self._learner = _learner(plan, self._network, peers)
         self._run = self._resumed()
+        spent_s = max(self._run.elapsed_s, _spent_s(plan))
+        self._run.elapsed_s = peers.agree({"s": spent_s})["s"]  # one clock for all processes
 
     @property
     def progress(self) -> float:
@@ -161,6 +166,7 @@ class _Training:
                         episodes=self._plan.validation_episodes,
                         decisions=self._plan.validation_decisions,
                         device=self._peers.device,
+                        priors=self._plan.recipe.settings.priors,
                     )
             run.validated_s = run.elapsed_s
         return {"iteration": run.iteration, "minutes": run.elapsed_s / 60.0, **metrics}
@@ -169,7 +175,10 @@ class _Training:
     def _counted(self) -> Iterator[None]:
         """Count the time spent; all processes agree on it, so that all stop together."""
         began_s = time.monotonic()
-        yield
+        with contextlib.ExitStack() as stack:
+            if self._peers.is_first:
+                stack.enter_context(_noting(self._plan.out, self._run.elapsed_s - began_s))
+            yield
         spent = self._peers.agree({"s": time.monotonic() - began_s})
         self._run.elapsed_s += spent["s"]
 
@@ -244,6 +253,41 @@ class _Training:
         run = _Run(**state["run"])
         _forget_lines(path.with_name("metrics.jsonl"), run.iteration)
         return run
+
+
+@contextmanager
+def _noting(folder: Path, offset_s: float) -> Iterator[None]:
+    """Keep in a file how long training has taken, so that a kill does not give time back.
+
+    offset_s: that time less the clock
+    """
+    is_over = Event()
+
+    def note() -> None:
+        part = folder / f"{SPENT_FILE}.part"
+        while True:
+            part.write_text(f"{offset_s + time.monotonic():.1f}\n", encoding="utf-8")
+            part.replace(folder / SPENT_FILE)
+            if is_over.wait(NOTE_INTERVAL_S):
+                return
+
+    thread = Thread(target=note, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
+
+
+def _spent_s(plan: Plan) -> float:
+    """How long a run has trained, the part of an iteration that was killed counted.
+
+    Never all of the budget: the last iteration ends with a validation.
+    """
+    path = plan.out / SPENT_FILE
+    noted_s = float(path.read_text(encoding="utf-8")) if path.exists() else 0.0
+    return min(noted_s, 60.0 * plan.minutes - 1.0)
 
 
 def _claim(folder: Path) -> None:

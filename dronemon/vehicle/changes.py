@@ -7,12 +7,14 @@ state folder: its parameters, and its fence. A file goes only when all in it has
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import IO, Self
 
 from dronemon.durable import replace_text, sync_folder
 from dronemon.errors import CommandRejected, RecordError, VehicleError
@@ -23,12 +25,36 @@ from dronemon.vehicle.parameters import as_float32
 Tell = Callable[[str], None]
 
 
+class ChangesTaken(CommandRejected):
+    """Another program changes the vehicle."""
+
+
 class Changes:
-    """The changes on one vehicle. tell: is told in words what is done."""
+    """The changes on one vehicle, which one program alone may make, from the first to its end.
+
+    tell: is told in words what is done
+    """
 
     def __init__(self, link: VehicleLink, tell: Tell) -> None:
         self._link = link
         self._tell = tell
+        self._lock: IO[str] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the vehicle to others."""
+        if self._lock is not None:
+            with contextlib.suppress(OSError):
+                Path(self._lock.name).unlink()
+            self._lock.close()
+            self._lock = None
+
+    def _claim(self) -> None:
+        """Keep others from changing the vehicle. Raises CommandRejected, RecordError."""
+        if self._lock is None:
+            self._lock = _locked(self._path.with_suffix(".lock"))
 
     async def make(self, settings: Mapping[str, float]) -> None:
         """Set parameters, each read back, once their present values are kept.
@@ -38,13 +64,15 @@ class Changes:
         """
         if not settings:
             return
+        self._claim()
         self._refuse_if_armed()
         present = await self._link.read_parameters(settings)
         for name in settings:
             if not math.isfinite(present.get(name, math.nan)):
                 raise CommandRejected(
-                    f"{name}: its present value cannot be read over this link, and so not be put "
-                    "back; set it with a ground station"
+                    f"{name}: the vehicle has no such parameter, or it is a whole number below 0, "
+                    "which this link cannot read, and so not put back; see how it is spelt, or set "
+                    "it with a ground station"
                 )
         kept = _load(self._path)
         new = {
@@ -62,6 +90,7 @@ class Changes:
         PX4 keeps to all areas at once. Behind a circle PX4 v1.17 misreads polygons: ours is first.
         Raises CommandRejected, VehicleError, RecordError, LinkLost.
         """
+        self._claim()
         self._refuse_if_armed()
         own = await self._link.read_fence()
         laid = (*fence, *own)
@@ -71,6 +100,7 @@ class Changes:
     async def put_back(self) -> None:
         """Put back what is kept, if anything is. Raises CommandRejected, LinkLost, RecordError."""
         if self._link.state.hardware is not None:
+            self._claim()
             await self._put_back_fence()
             await self._put_back_parameters()
 
@@ -95,8 +125,8 @@ class Changes:
         present = await self._link.read_parameters(kept)
         for name, value in kept.items():
             if name not in present:
-                raise CommandRejected(f"{name}, which is to be put back, is not answered for")
-            if present[name] == value["new"]:
+                self._tell(f"{name} is left: the vehicle does not have it any more")
+            elif present[name] == value["new"]:
                 await self._link.write_parameter(name, value["old"])
                 self._tell(f"{name} is {value['old']:g} again, as before it was changed for us")
             elif present[name] != value["old"]:
@@ -142,6 +172,28 @@ def state_folder() -> Path:
     """Where the user's programs keep what must outlive them. Source: XDG base directories."""
     given = os.environ.get("XDG_STATE_HOME")
     return (Path(given) if given else Path.home() / ".local" / "state") / "dronemon" / "vehicles"
+
+
+def _locked(path: Path) -> IO[str]:
+    """A file that no other program locks meanwhile. Raises CommandRejected, RecordError."""
+    while True:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = path.open("w", encoding="utf-8")
+        except OSError as exc:
+            raise RecordError(f"cannot write {path}: {exc.strerror}; nothing was changed") from exc
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(path.stat(), os.fstat(file.fileno())):
+                    return file
+        except BlockingIOError as exc:
+            file.close()
+            raise ChangesTaken(
+                "another program flies or changes this vehicle: end that one first (simulated "
+                "vehicles may share a board: give each program an XDG_STATE_HOME of its own)"
+            ) from exc
+        file.close()  # the program before removed it meanwhile
 
 
 def _load(path: Path) -> dict[str, dict[str, float]]:

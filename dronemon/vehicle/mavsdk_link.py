@@ -244,7 +244,9 @@ class MavsdkLink:
 
     async def arm(self) -> None:
         """Start the motors."""
+        self._modes.expect(self.state.mode, Mode.HOLD)
         await self._confirm("arming", Command.arm(True), lambda: self.state.is_armed)
+        self._modes.check(self.state)  # that of the heartbeat which shows it
 
     async def disarm(self) -> None:
         """Stop the motors; only on the ground."""

@@ -44,6 +44,7 @@ from dronemon.viz.entities import (
 
 JPEG_QUALITY = 80
 TRAJECTORY_INTERVAL_S = 0.5
+_CLOCK_DOUBT_S = 5.0
 _SQUARE_AU = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=np.float64)
 _ARROW = np.array([[-0.6, 0.8], [0.0, -1.0], [0.6, 0.8], [0.0, 0.4], [-0.6, 0.8]])
 _COLORMAPS = {"mean": rr.components.Colormap.Inferno, "std": rr.components.Colormap.Viridis}
@@ -64,6 +65,7 @@ class Drawing:
         self._seen_s: dict[int, float] = {}
         self._seen_au: dict[int, FloatArray] = {}
         self._time_s: float | None = None
+        self._clock_s, self._offset_s = -np.inf, 0.0
         self._early_notes: list[tuple[str, Level]] = []
 
     def start(self) -> None:
@@ -115,6 +117,7 @@ class Drawing:
 
     def _move(self, pose: Pose) -> None:
         """Move the vehicle, extend its trajectory and the series of speed and height."""
+        self._follow_clock(pose.time_s)
         self._series(pose.time_s, ground_speed_m_s=pose.ground_speed_m_s)
         if self._area is None:
             return
@@ -153,6 +156,7 @@ class Drawing:
     def _measure(self, event: Measured) -> None:
         """Mark what was seen; extend the series of times since, battery and cross-track error."""
         time_s, measurement = event.time_s, event.measurement
+        now_s = time_s + self._offset_s
         self._series(
             time_s,
             battery=event.battery,
@@ -161,13 +165,13 @@ class Drawing:
         )
         for number, name in enumerate(self._names):
             if measurement.seen[number]:
-                self._seen_s[number] = time_s
+                self._seen_s[number] = now_s
                 self._seen_au[number] = measurement.target_au[number]
                 if self._area is not None:
                     place = [au_to_map(self._seen_au[number], self._area)]
                     mark = dots(place, target_rgb(number), 5.0, order=60, labels=[name])
                     self._rec.log(path("map", "seen", name), mark)
-            since_s = time_s - self._seen_s.setdefault(number, time_s)  # or from the first look
+            since_s = now_s - self._seen_s.setdefault(number, now_s)  # or from the first look
             self._rec.log(path("plots", "since_seen", name), rr.Scalars(since_s))
 
     def _beliefs(self, event: Believed, area: AreaFrame) -> None:
@@ -213,9 +217,17 @@ class Drawing:
     def _note(self, event: Noted) -> None:
         """Add a line to the log, once a vehicle time is known."""
         self._early_notes.append((f"{event.kind}: {event.text}", event.level))
-        time_s = self._time_s if event.time_s is None else event.time_s
-        if time_s is not None:
-            self._set_time(time_s)
+        if event.time_s is not None:
+            self._follow_clock(event.time_s)
+            self._set_time(event.time_s)
+        elif self._time_s is not None:
+            self._set_time(self._time_s)
+
+    def _follow_clock(self, time_s: float) -> None:
+        """Go on with the recording where a vehicle that was switched off begins anew."""
+        if time_s < self._clock_s - _CLOCK_DOUBT_S:
+            self._offset_s += self._clock_s - time_s
+        self._clock_s = time_s
 
     def _series(self, time_s: float, **values: float | None) -> None:
         """Extend the time series whose value is known."""
@@ -225,7 +237,7 @@ class Drawing:
                 self._rec.log(f"plots/{key}", rr.Scalars(value))
 
     def _set_time(self, time_s: float) -> None:
-        self._rec.set_time(TIMELINE, duration=time_s)
+        self._rec.set_time(TIMELINE, duration=time_s + self._offset_s)
         self._time_s = time_s
         for text, level in self._early_notes:
             self._rec.log("events", rr.TextLog(text, level=level))

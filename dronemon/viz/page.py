@@ -77,7 +77,9 @@ class LivePage:
         assert self._process.stdin is not None
         with contextlib.suppress(OSError), self._process.stdin as stdin:
             for data in self._waiting:
-                stdin.write(data)
+                rest = memoryview(data)
+                while rest:  # a process that is killed takes a part
+                    rest = rest[stdin.write(rest) :]
             return
         self.error = self.error or "the live page stopped: its process ended"
 

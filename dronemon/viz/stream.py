@@ -24,9 +24,12 @@ from dronemon.viz.file import RecordingFile
 from dronemon.viz.page import LivePage
 from dronemon.waiting import BoundedQueue
 
-POSE_INTERVAL_S = 0.2
-FLUSH_S, LIVE_FLUSH_S = 2.0, 0.5
-"""Data of this wall time are written together: at 1x half a second makes a file twice as large."""
+POSE_INTERVAL_S, POSE_INTERVAL_WALL_S = 0.2, 0.05
+"""Poses nearer to each other are passed over: at fifteen times real time they took a fifth of a
+core, and decisions waited for it."""
+FLUSH_S, LIVE_FLUSH_S, FLUSH_BYTES = 10.0, 0.5, 8_000_000
+"""Data of this wall time are written together, and of a flight that nobody watches so many: Rerun
+keeps some 4 KB of memory for each entity of each piece, and small pieces make a larger file."""
 FINISH_S = 5.0
 """Limit on ending the recording once all that was waiting is written."""
 
@@ -51,6 +54,8 @@ class FlightView:
         self._num_failed = 0
         self._failure: str | None = None
         self._page: LivePage | None = None
+        speed_up = mission.vehicle.speed_up if mission.vehicle.is_mock else 1.0
+        self._pose_interval_s = max(POSE_INTERVAL_S, POSE_INTERVAL_WALL_S * speed_up)
         self._pose_due_s = -np.inf
 
     @property
@@ -74,7 +79,9 @@ class FlightView:
         recording = rr.RecordingStream(
             "dronemon",
             recording_id=str(uuid.uuid4()),
-            batcher_config=rr.ChunkBatcherConfig(flush_tick=LIVE_FLUSH_S if is_live else FLUSH_S),
+            batcher_config=rr.ChunkBatcherConfig(flush_tick=LIVE_FLUSH_S)
+            if is_live
+            else rr.ChunkBatcherConfig(flush_tick=FLUSH_S, flush_num_bytes=FLUSH_BYTES),
         )
         recording.set_log_time_enabled(False)
         with contextlib.ExitStack() as undo:
@@ -107,15 +114,15 @@ class FlightView:
             self._page.close()
 
     def take(self, event: Event) -> None:
-        """Show an event; poses that follow within 0.2 s of vehicle time are passed over."""
+        """Show an event; most poses are passed over."""
         num_bytes = 0
         match event:
             case Progressed():
                 return
             case Moved(pose=pose):
-                if self._pose_due_s - POSE_INTERVAL_S <= pose.time_s < self._pose_due_s:
+                if self._pose_due_s - self._pose_interval_s <= pose.time_s < self._pose_due_s:
                     return
-                self._pose_due_s = pose.time_s + POSE_INTERVAL_S
+                self._pose_due_s = pose.time_s + self._pose_interval_s
             case Pictured():
                 num_bytes = event.picture.image.nbytes
             case Believed():

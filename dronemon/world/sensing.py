@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU, Prior
 from dronemon.types import BoolArray, FloatArray, Measurement
 
 if TYPE_CHECKING:
@@ -75,6 +75,31 @@ def sense(agent_au: FloatArray, targets_au: FloatArray) -> BoolArray:
     offsets = targets_au - agent_au[..., None, :]
     seen: BoolArray = np.sqrt(offsets[..., 0] ** 2 + offsets[..., 1] ** 2) < SENSOR_RADIUS_AU
     return seen
+
+
+class Roster:
+    """Which of the true targets are known of: all, or each from its first sighting on.
+
+    known:     indices of those known, in the order in which they became so
+    priors_au: (K, 2) places of those known at time 0, NaN where unknown
+    """
+
+    def __init__(self, prior: Prior, first_au: FloatArray) -> None:
+        """first_au: (N, 2) where targets truly are at time 0."""
+        self.known: list[int] = [] if prior == "none" else list(range(len(first_au)))
+        places_au = first_au if prior == "full" else np.full_like(first_au, np.nan)
+        self.priors_au: FloatArray = places_au[self.known]
+
+    def tell(self, truth: Measurement) -> Measurement:
+        """What the sensor says of those known, whom the ones seen now for the first time join."""
+        seen = np.flatnonzero(truth.seen).tolist()
+        self.known += [target for target in seen if target not in self.known]
+        return Measurement(
+            time_au=truth.time_au,
+            agent_au=truth.agent_au,
+            seen=truth.seen[self.known],
+            target_au=truth.target_au[self.known],
+        )
 
 
 def measure(time_au: float, agent_au: FloatArray, targets_au: FloatArray) -> Measurement:

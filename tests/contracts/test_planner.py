@@ -161,5 +161,7 @@ def test_unknown_planner_names_the_nearest() -> None:
 
 
 def test_checkpoint_is_refused_where_there_are_no_weights() -> None:
+    with pytest.raises(OptionError, match="'tsp' has no weights, but history 5 was given"):
+        create_planner("tsp", history=5)
     with pytest.raises(OptionError, match="'tsp' has no weights"):
         create_planner("tsp", checkpoint="x.pt")

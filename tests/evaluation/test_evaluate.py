@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from dronemon.belief import episode_metrics
 from dronemon.errors import OptionError, RecordError
 from dronemon.evaluation.command import evaluate_command
 from dronemon.evaluation.evaluate import evaluate
-from dronemon.evaluation.options import Options, PlannerSpec
+from dronemon.evaluation.options import Options, PlannerSpec, Sweep
 from dronemon.evaluation.results import Result, load_results
 from dronemon.terminal import LenientConsole
 from dronemon.version import code_version
@@ -44,14 +43,16 @@ def options(out: Path, **changes: Any) -> Options:
     given: dict[str, Any] = {
         "planners": (PlannerSpec(kind="lawnmower"), PlannerSpec(kind="tsp")),
         "out": out,
-        "targets": (2,),
-        "speed_ratios": (Fraction(1, 10),),
+        "sweep": sweep(),
         "instances": 2,
         "first_seed": 10_000,
         "horizon_au": 2.0,
-        "num_nodes": 20,
     }
     return Options(**{**given, **changes})
+
+
+def sweep(**changes: Any) -> Sweep:
+    return Sweep(**{"targets": (2,), "nodes": (20,), **changes})
 
 
 def outcome(results: list[Result]) -> list[tuple[object, ...]]:
@@ -71,21 +72,24 @@ def test_results_do_not_depend_on_processes(tmp_path: Path) -> None:
 def test_results_do_not_depend_on_what_else_is_flown(tmp_path: Path) -> None:
     alone = evaluate(options(tmp_path / "alone"), QUIET)
     later = evaluate(
-        options(tmp_path / "later", first_seed=10_001, instances=1, targets=(3, 2)), QUIET
+        options(tmp_path / "later", first_seed=10_001, instances=1, sweep=sweep(targets=(3, 2))),
+        QUIET,
     )
     assert outcome(alone)[2:] == [row for row in outcome(later) if row[1] == alone[0].cell]
 
 
 def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Path) -> None:
-    (result,) = evaluate(
-        options(tmp_path, planners=(PlannerSpec(kind="tsp"),), instances=1, save_episodes=True),
-        QUIET,
-    )
+    asked = sweep(priors=("full", "none"))
+    result, *_ = evaluate(options(tmp_path, sweep=asked, instances=1, save_episodes=True), QUIET)
     for name in ("table.md", "table.csv", "paired.csv", "results.jsonl"):
         assert (tmp_path / name).is_file()
-    for name in ("unc_over_time.png", "traces.png", "overview.png"):
-        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    (path,) = (tmp_path / "episodes").iterdir()
+    for name in ("unc_over_time", "found_over_time", "traces", "overview"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert b"<svg" in (tmp_path / f"{name}.svg").read_bytes()
+    overview = (tmp_path / "overview.svg").read_text()
+    assert "<!-- lawnmower: " in overview
+    assert "<!-- tsp: " in overview
+    (path,) = (tmp_path / "episodes").glob("lawnmower*full*")
     with np.load(path) as arrays:
         assert arrays["agent_au"].shape == (21, 2)
         assert arrays["targets_au"].shape == (21, 2, 2)
@@ -109,6 +113,43 @@ def test_finished_episodes_are_not_flown_again(tmp_path: Path) -> None:
     assert (tmp_path / "results.jsonl").read_text().splitlines()[: len(lines)] == lines
     assert outcome(more)[:4] == outcome(first)
     assert len(more) == 6
+
+
+@without_figures
+def test_planners_of_an_earlier_run_stay_in_the_table(tmp_path: Path) -> None:
+    tsp, lawnmower = PlannerSpec(kind="tsp"), PlannerSpec(kind="lawnmower")
+    first = evaluate(options(tmp_path, planners=(tsp,), sweep=sweep(targets=(2, 3))), QUIET)
+    evaluate(options(tmp_path, planners=(tsp,), horizon_au=2.5), QUIET)
+    both = evaluate(options(tmp_path, planners=(lawnmower,)), QUIET)
+    assert [result.method for result in both] == ["lawnmower"] * 2 + ["tsp"] * 2
+    assert outcome(both[2:]) == [row for row in outcome(first) if row[1] == both[0].cell]
+    said = (tmp_path / "table.md").read_text()
+    assert "| lawnmower minus tsp | 1 |" in said
+    assert "from earlier runs in this folder: tsp" in said
+
+
+@without_figures
+def test_a_history_is_a_row_and_its_command_makes_it_again(tmp_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(evaluate_command)
+    asked = ["--planner", "stamp,stamp@3,tsp", "--history", "1,5", "--instances", "1"]
+    asked += ["--horizon", "1", "--nodes", "12,15", "--workers", "1", "--targets", "1"]
+    done = CliRunner().invoke(app, [*asked, "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    flown = load_results(tmp_path / "results.jsonl").values()
+    assert {(r.method, r.cell.num_nodes) for r in flown} == {
+        (method, nodes) for method in ("stamp@1", "stamp@5", "stamp@3", "tsp") for nodes in (12, 15)
+    }
+    assert "--planner stamp@1,stamp@5,stamp@3,tsp" in (tmp_path / "table.md").read_text()
+
+
+def test_a_planner_is_read_as_it_is_written() -> None:
+    for text in ("stamp", "stamp@25", "stamp:a/b.pt", "stamp:a@b.pt@7", "tsp", "my.module:Class"):
+        assert PlannerSpec.parse(text).text == text
+    assert PlannerSpec.parse("stamp:a/b.pt@7").method == "stamp:b@7"
+    assert PlannerSpec.parse("stamp:a@b.pt@7") == PlannerSpec(
+        kind="stamp", checkpoint="a@b.pt", history=7
+    )
 
 
 @without_figures
@@ -217,6 +258,12 @@ def test_run_that_was_ended_leaves_no_process_and_goes_on_where_it_was(
         (["--nodes", "3"], "--nodes 3 is not"),
         (["--workers", "0"], "--workers 0 is less than 1"),
         (["--table1", "--targets", "4"], "--table1 sets --targets"),
+        (["--table2", "--nodes", "50"], "--table2 sets --targets"),
+        (["--table1", "--figure5"], "no other of"),
+        (["--planner", "tsp", "--history", "5"], "--history 5: no planner of tsp looks back"),
+        (["--planner", "tsp@5"], "'tsp' has no weights, but history 5 was given"),
+        (["--planner", "stamp", "--history", "0"], "a history of 0 is not 1 to 1000"),
+        (["--planner", "stamp", "--history", "few"], "--history few"),
     ],
 )
 def test_bad_input_is_refused_with_the_reason(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dronemon.belief import Scores
-from dronemon.evaluation.options import Cell
+from dronemon.evaluation.options import FIGURE5, TABLE2, Cell
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result
 from dronemon.evaluation.tables import (
@@ -52,7 +52,8 @@ def result(
             since_seen_au=1.0,
             peak_error_au=math.nan,
         ),
-        unc_over_time=(unc,),
+        unc_over_time=(unc, unc, unc + 0.1),
+        found_over_time=(0.0, 0.5, 1.0),
         decisions=10,
         decision_s=0.002,
         code=code,
@@ -196,6 +197,41 @@ def test_other_conditions_than_the_papers_are_not_compared_with_it(tmp_path: Pat
     results = [result("search", 0, 0.7, cell=cell) for cell in TABLE1_CELLS]
     assert write_tables(results, tmp_path, "--horizon 5", is_as_published=False) == []
     assert "paper" not in (tmp_path / "table.md").read_text()
+
+
+def test_table_2_stands_beside_the_papers(tmp_path: Path) -> None:
+    results = [
+        result(method, seed, 0.7, cell=cell, jsd=0.3 + 0.02 * seed)
+        for cell in TABLE2.cells
+        for seed in (0, 1)
+        for method in ("stamp:paper@25", "tsp")
+    ]
+    results.append(result("lawnmower", 0, 0.8, cell=TABLE2.cells[0]))  # not in all of its cells
+    write_tables(results, tmp_path, "--table2", is_as_published=True)
+    text = (tmp_path / "table.md").read_text()
+    (part,) = (p for p in text.split("\n## ") if p.startswith("Table II"))
+    ours, papers, others, *_ = part.splitlines()[6:]
+    assert ours.startswith("| stamp:paper@25 | 0.310 ± 0.010 |")
+    assert papers == "| paper: 25 | 0.301 | 0.296 | 0.297 | 0.292 | 0.304 | 0.296 |"
+    assert others.startswith("| tsp | 0.310 ± 0.010 |")
+    assert "lawnmower" not in part
+    write_tables(results, tmp_path, "--table2 --horizon 2", is_as_published=False)
+    assert "paper: 25" not in (tmp_path / "table.md").read_text()
+
+
+def test_priors_are_compared_by_thirds_of_the_mission(tmp_path: Path) -> None:
+    results = [
+        result("search", seed, 0.6 + 0.02 * seed, cell=cell)
+        for cell in FIGURE5.cells
+        for seed in (0, 1)
+    ]
+    write_tables(results, tmp_path, "--figure5", is_as_published=True)
+    text = (tmp_path / "table.md").read_text()
+    (part,) = (p for p in text.split("\n## ") if p.startswith("What is known at the start"))
+    row = "0.610 ± 0.010 | 0.610 ± 0.010 | 0.710 ± 0.010 | 5.00 ± 0.00 | 0.000 ± 0.000 | "
+    assert f"| 6 | 1/20 | 200 | search | none | {row}0.500 ± 0.000 | 1.000 ± 0.000 |" in part
+    write_tables(results[:2], tmp_path, "one prior", is_as_published=True)
+    assert "What is known" not in (tmp_path / "table.md").read_text()
 
 
 def test_tables_name_every_code_that_took_part(tmp_path: Path) -> None:

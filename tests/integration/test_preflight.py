@@ -123,7 +123,7 @@ def test_what_was_set_for_a_flight_that_was_killed_is_put_back_at_the_next_start
             assert time.monotonic() < deadline
             time.sleep(0.05)
         program.send_signal(signal.SIGKILL)
-    assert len(list(state_folder().iterdir())) == 2
+    assert len(list(state_folder().glob("*.json"))) == 2
     code, output = _say(*PROGRAM, "preflight", *options)  # waits until it has landed by itself
     assert code == 0, output
     assert "GF_ACTION is 2 again, as before it was changed for us" in output

@@ -76,7 +76,7 @@ def test_animals_is_the_papers_experiment():
         ("simulation:", "vehicle:\n  url: 14540\nsimulation:", 16, ["vehicle.url"]),
         ("simulation:", "vehicle: {url: 'udp:1'}\nsimulation:", 15, ["vehicle.url", "udpin://"]),
         (ALTITUDE, "max_speed_m_s: 4.9", 6, ["max_speed_m_s", "4.9 is less than cruise_speed"]),
-        (ALTITUDE, "max_acceleration_m_s2: 10", 5, ["altitude_m", "no height will do", "45.5"]),
+        (ALTITUDE, "max_acceleration_m_s2: 10", 5, ["altitude_m", "no height will do", "45.6"]),
         ("simulation:", "camera: {url: walk.mp4}\nsimulation:", 15, ["walk.mp4", "no such file"]),
     ],
 )

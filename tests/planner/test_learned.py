@@ -16,6 +16,7 @@ from dronemon.errors import CheckpointMismatch
 from dronemon.planner import Briefing, Snapshot
 from dronemon.planner.learned import LearnedPlanner
 from dronemon.policy import Card, Checkpoint, History, NetworkConfig, PolicyNetwork
+from dronemon.problem import Prior
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.types import Measurement
@@ -98,13 +99,13 @@ class Mission:
         self.sightings.add(measurement)
 
 
-def test_it_decides_as_in_the_environment_it_was_trained_in() -> None:
+@pytest.mark.parametrize("prior", ["full", "none"])
+def test_it_decides_as_in_the_environment_it_was_trained_in(prior: Prior) -> None:
     planner, network = make_planner()
-    mission = Mission(10_000, 3)
+    mission = Mission(10_000, 3, is_known=prior == "full")
     env = Env()
-    observation = env.reset(
-        [Setup(seed=10_000, num_targets=3, num_nodes=NUM_NODES, speed_ratio=SPEED)]
-    )
+    setup = Setup(seed=10_000, num_targets=3, num_nodes=NUM_NODES, speed_ratio=SPEED, prior=prior)
+    observation = env.reset([setup])
     memory = History(network, env.graphs, 10)
     for _ in range(2):  # the second mission starts anew
         planner.reset(mission.briefing(), mission.roadmap)
@@ -123,6 +124,7 @@ def test_it_decides_as_in_the_environment_it_was_trained_in() -> None:
         np.testing.assert_array_equal(waypoint.position_au, mission.roadmap.nodes_au[waypoint.node])
         mission.fly_to(waypoint.node)
         observation = env.step(torch.tensor([waypoint.node])).observation
+    assert mission.sightings.num_targets > 0
 
 
 def test_its_thoughts_can_be_recorded() -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dronemon.planner.particles import ParticleBelief, SpeedBelief
+from dronemon.planner.particles import ParticleBelief, SpeedBelief, refuted
 from dronemon.planner.settings import MotionSettings
 from dronemon.sightings import Sightings
 from dronemon.types import Measurement
@@ -122,3 +122,16 @@ def test_noisy_sightings_do_not_mislead_the_speed():
         step = np.array([0.05 * 0.3, 0.0]) + rng.normal(0.0, 0.0035, 2)
         speed.observe(float(np.hypot(*step)), 0.3)
     assert speed.mean == pytest.approx(0.05, rel=0.2)
+
+
+def test_a_miss_on_the_old_trail_removes_as_many_as_the_doubt_says():
+    walkers = np.zeros((3, 4000))
+    walkers[0], walkers[1] = 0.8, 0.8
+    walkers[0, 2000:] = 0.5  # on the trail
+    trail, agent = np.array([[0.5, 0.8]]), np.array([0.1, 0.1])
+    doubt = MotionSettings().trail_doubt
+    for share in (doubt, 0.0, 1.0):
+        gone = refuted(walkers, agent, trail, 0.05, share, np.random.default_rng(0))
+        assert len(gone) / 2000 == pytest.approx(share, abs=0.03)
+        assert (gone >= 2000).all()
+    assert doubt > 0.5

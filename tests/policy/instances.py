@@ -32,7 +32,12 @@ def whole_episodes(
     nodes: Tensor,
     tracks: Tensor,
 ) -> Segment:
-    """Whole episodes, from the lengths (B, L) in au flown at each decision."""
+    """Whole episodes, from the lengths (B, L) in au flown at each decision.
+
+    target_mask: (B, N) always, or (B, L, N) at each decision
+    """
+    if target_mask.dim() == 2:
+        target_mask = target_mask[:, None].expand(-1, frames.shape[1], -1)
     return Segment(
         graphs=graphs,
         frames=frames,

@@ -68,6 +68,12 @@ def test_a_vehicle_that_nothing_is_against_is_go_in_every_row():
     assert mending_options(findings) == ""
 
 
+def test_no_height_of_the_return_mends_an_area_too_far_away():
+    finding = _found("height of the return", replace(FACTS, away_m=20e3))
+    assert finding.judgement.verdict is NO_GO
+    assert finding.judgement.mends == {}
+
+
 @pytest.mark.parametrize("has_sticks", [True, False])
 def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
     facts = replace(FACTS, parameters=BARE, has_sticks=has_sticks)

@@ -19,6 +19,7 @@ from dronemon.mission import load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.roadmap import Roadmap
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission
+from dronemon.runner.history import History
 from dronemon.vehicle import Mode
 
 MISSION = """
@@ -97,6 +98,7 @@ class Flight:
         self.picture_px = (640, 480)
         self.mission_text = MISSION
         self.settings: dict[str, float] = {}
+        self.history: History | None = None
         self.on_link: Callable[[FakeLink], None] = lambda link: None
 
     def fly(self, *faults: str, **options: Any) -> FlightResult:
@@ -119,6 +121,7 @@ class Flight:
                     watchers=(self.view,),
                     interrupts=self.interrupts,
                     settings=self.settings,
+                    history=self.history,
                 )
             )
 

@@ -86,6 +86,7 @@ def _lands_with(
     vehicle = WindyVehicle((0.0, wind_m_s), charge, 60.0 * ENDURANCE_MIN)
     result, listener = _fly(path, corner_au, vehicle)
     assert (result.outcome, result.error, result.is_landed) == ("battery low", None, True)
+    assert result.landing_battery == pytest.approx(vehicle.charge, abs=0.011)
     return vehicle.charge, listener
 
 

@@ -230,3 +230,20 @@ def test_one_heartbeat_that_says_offboard_gives_nothing_back(flight):
     result = flight.fly("pilot@12")
     assert "control given back" not in flight.record.kinds
     assert result.outcome == "pilot"
+
+
+def test_a_flight_that_a_pilot_lands_on_its_way_home_is_the_pilots(flight):
+    """A low battery sent it home; a relay must not take off again out of the pilot's hands."""
+
+    def land() -> None:
+        flight.link.vehicle.position[2] = 0.0
+        flight.link.vehicle.is_armed = False
+
+    def take() -> None:
+        flight.link.vehicle.choose(Mode.POSITION)
+        flight.later(3.0, land)
+
+    flight.when("homecoming", lambda: flight.later(1.0, take))
+    result = flight.fly("battery=0.18@12")
+    assert Reason.BATTERY_LOW in flight.reasons
+    assert (result.outcome, result.is_landed) == ("pilot", True)

@@ -5,27 +5,32 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 import virtual_time
-from fake_link import FakeCamera, FakeLink
+from fake_link import ORIGIN, FakeCamera, FakeLink
 from flights import Listener
 
+from dronemon.clock import machine_time
 from dronemon.errors import RecordError
+from dronemon.frames import ned_to_geo
 from dronemon.mission import MissionFile, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.recorder import RunFolder, RunRecorder
 from dronemon.roadmap import Roadmap
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission
-from dronemon.runner.history import read_history
+from dronemon.runner.history import History, Newest, read_history, read_newest
 from dronemon.runner.preparation import make_belief
 from dronemon.runner.summary import summarise
+from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import Detection, Pose
 from dronemon.vehicle import Mode
+from dronemon.vehicle.fence_items import FenceItem, polygon_items
 
 MISSION = """
 name: small
@@ -71,6 +76,7 @@ class Story:
         self.path = folder / "run"
         self.planner, self.watch = Shuttle(), Listener()
         self.link: FakeLink
+        self.fence: tuple[FenceItem, ...] = ()  # that of the flight, on a vehicle in the air
 
     def fly(self, prepare: Callable[[FakeLink], None] = lambda link: None) -> FlightResult:
         return virtual_time.run(self._fly(prepare))
@@ -87,6 +93,8 @@ class Story:
         with recorder:
             self.link = FakeLink()
             prepare(self.link)
+            if self.link.vehicle.is_armed:
+                self.link.vehicle.fence = self.fence
             async with self.link:
                 result = await fly_mission(
                     FlightSetup(
@@ -99,11 +107,18 @@ class Story:
                         record=recorder,
                         watchers=(self.watch,),
                         interrupts=Interrupts(),
+                        folder=self.path,
                         history=None if is_new else read_history(folder, mission, PRIORS_AU),
                     )
                 )
             recorder.finish(result.outcome, {})
         return result
+
+    def see_fence(self) -> None:
+        """Find out what fence the flight was given."""
+        ready = next(e for e in RunFolder(path=self.path).events() if e["kind"] == "ready")
+        laid = [ned_to_geo(np.array([*corner, 0.0]), ORIGIN) for corner in ready["fence_ned_m"]]
+        self.fence = polygon_items([(p.latitude_deg, p.longitude_deg) for p in laid])
 
     def crash_after(self, num_pictures: int) -> float:
         """Leave the folder as a program that was killed then. -> vehicle time of the last line"""
@@ -120,6 +135,17 @@ class Story:
         summary.write_text(text)
         return last_s
 
+    def pass_time(self, duration_s: float) -> None:
+        """Have everything so far happen earlier."""
+        wall = (datetime.now(UTC) - timedelta(seconds=duration_s)).isoformat()
+        self.say(wall=wall, up_s=machine_time()[1] - duration_s)
+
+    def say(self, **fields: object) -> None:
+        """Have every event's line say something else."""
+        events = self.path / "events.jsonl"
+        lines = [json.dumps(json.loads(line) | fields) for line in _records(events)]
+        events.write_text("".join(f"{line}\n" for line in lines))
+
 
 def _records(file: Path) -> list[str]:
     return file.read_text().splitlines()
@@ -129,10 +155,33 @@ def _time_s(line: str) -> float:
     return float(json.loads(line)["time_s"] or 0.0)
 
 
+REAL = "vehicle: {url: 'udpin://127.0.0.1:14540'}\n"
+
+
+def _of_a_real_vehicle(story: Story) -> None:
+    """Each mock has a board of its own, so the program does not ask for it."""
+    path = story.path.with_name("real.yaml")
+    path.write_text(MISSION + REAL)
+    story.file = load_mission(path)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole flight, to be copied."""
+    folder = tmp_path_factory.mktemp("flown")
+    story = Story(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(folder / "state"))
+        assert story.fly().outcome == "completed"
+    return story.path
+
+
 @pytest.fixture
-def story(tmp_path: Path) -> Story:
+def story(flown: Path, tmp_path: Path) -> Story:
     story = Story(tmp_path)
-    assert story.fly().outcome == "completed"
+    shutil.copytree(flown, story.path)
+    story.pass_time(0.0)
+    story.see_fence()
     return story
 
 
@@ -180,7 +229,7 @@ def test_a_flight_goes_on_in_the_air(story, mode):
     assert (result.outcome, result.error) == ("completed", None)
     assert story.link.commands[:2] == ["hold", "offboard"]
     assert "arm" not in story.link.commands
-    assert story.watch.kinds[:4] == ["ready", "resumed", "attached", "homecoming"]
+    assert story.watch.kinds[:4] == ["resuming", "resumed", "ready", "attached"]
     tally = result.tally
     assert tally is not None
     assert len(tally.sightings) == tally.num_pictures_due == 30
@@ -191,14 +240,16 @@ def test_a_flight_goes_on_in_the_air(story, mode):
     assert result.landing_error_m == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_flight_goes_on_on_the_ground_after_a_reboot(story):
-    story.crash_after(12)
-    events = story.path / "events.jsonl"
-    before = datetime.now(UTC) - timedelta(seconds=300.0)
-    events.write_text(
-        "".join(_replaced_wall(line, before) + "\n" for line in events.read_text().splitlines())
-    )
-    result = story.fly()
+def _on_the_ground(time_s: float, **parameters: float) -> Callable[[FakeLink], None]:
+    def prepare(link: FakeLink) -> None:
+        link.vehicle.time_s = time_s
+        link.vehicle.parameters |= parameters
+
+    return prepare
+
+
+def _goes_on_300_s_later(story: Story) -> None:
+    result = story.fly(_on_the_ground(60.0))
     assert (result.outcome, result.error) == ("completed", None)
     assert story.link.commands[0] == "arm"
     tally = result.tally
@@ -208,8 +259,93 @@ def test_a_flight_goes_on_on_the_ground_after_a_reboot(story):
     assert times_au[12] - times_au[11] == pytest.approx(300.0 * 5.0 / 100.0, abs=2.0)
 
 
-def _replaced_wall(line: str, wall: datetime) -> str:
-    return json.dumps(json.loads(line) | {"wall": wall.isoformat()})
+def test_a_flight_goes_on_on_the_ground_after_a_reboot(story):
+    story.crash_after(12)
+    story.pass_time(300.0)
+    _goes_on_300_s_later(story)
+
+
+def test_a_try_that_was_refused_after_a_reboot_changes_nothing(story):
+    story.crash_after(12)
+    story.pass_time(300.0)
+    refused = story.fly(_on_the_ground(50.0, COM_OBL_RC_ACT=6.0))
+    assert "no-go" in str(refused.error)
+    _goes_on_300_s_later(story)
+
+
+def test_a_reboot_that_ended_a_flight_is_no_other_than_one_after_it(story):
+    story.crash_after(12)
+    story.pass_time(300.0)
+    boot, up_s = machine_time()
+    now = {"time_s": 1.0, "wall": datetime.now(UTC).isoformat(), "boot": boot, "up_s": up_s}
+    rebooted = now | {"kind": "outcome", "text": ""}
+    with (story.path / "events.jsonl").open("a") as events:
+        events.write(json.dumps(rebooted) + "\n")
+    _goes_on_300_s_later(story)
+
+
+DAY = timedelta(days=1)
+
+
+@pytest.mark.parametrize("step", [-DAY, DAY])
+def test_a_wall_clock_that_was_set_is_not_time_that_passed(story, step):
+    last_s = story.crash_after(12)
+    story.say(wall=(datetime.now(UTC) + step).isoformat())
+    result = story.fly(_aloft(last_s + 9.0))
+    assert (result.outcome, result.error) == ("completed", None)
+    assert 9.0 < result.tally.times_s[12] - result.tally.times_s[11] < 60.0
+
+
+def test_after_a_restart_of_the_machine_the_wall_clock_tells_what_has_passed(story):
+    story.crash_after(12)
+    then = datetime.now(UTC) - timedelta(seconds=300.0)
+    story.say(boot="that of then", up_s=1e6, wall=then.isoformat())
+    _goes_on_300_s_later(story)
+
+
+def test_a_fence_that_is_gone_is_told_in_the_air(story):
+    last_s = story.crash_after(12)
+    story.fence = ()
+    assert story.fly(_aloft(last_s + 9.0)).outcome == "completed"
+    assert "it does not keep the flight's fence" in story.watch.text("fence")
+    assert story.watch.text("ready") == "the vehicle is ready"
+
+
+@pytest.mark.parametrize("hardware", ["fake", "another"])
+def test_an_area_is_laid_where_it_was_on_the_globe(story, hardware):
+    last_s = story.crash_after(12)
+
+    def prepare(link: FakeLink) -> None:
+        link.hardware, link.vehicle.time_s = hardware, last_s + 9.0
+        north = replace(ORIGIN, latitude_deg=ORIGIN.latitude_deg + 0.001)
+        link.origin = north if hardware == "fake" else ORIGIN
+
+    _of_a_real_vehicle(story)
+    laid = [e for e in RunFolder(path=story.path).events() if e["kind"] == "ready"]
+    story.fly(prepare)
+    again = [e for e in RunFolder(path=story.path).events() if e["kind"] == "ready"][len(laid) :]
+    for angle in ("latitude_deg", "longitude_deg"):
+        assert again[0]["centre"][angle] == pytest.approx(laid[0]["centre"][angle], abs=1e-7)
+    assert story.watch.texts("another one than flew") == (hardware == "another")
+
+
+def test_another_vehicle_in_the_air_is_not_taken_over(story):
+    last_s = story.crash_after(12)
+
+    def prepare(link: FakeLink) -> None:
+        _aloft(last_s + 9.0)(link)
+        link.hardware = "another"
+
+    _of_a_real_vehicle(story)
+    result = story.fly(prepare)
+    assert "is another one" in str(result.error)
+    assert story.link.commands == []
+
+
+def test_what_mends_a_refusal_goes_on_with_the_run(story):
+    story.crash_after(12)
+    refused = story.fly(_on_the_ground(50.0, COM_OBL_RC_ACT=6.0))
+    assert f"dronemon fly --resume {story.path} --set COM_OBL_RC_ACT=" in str(refused.error)
 
 
 def test_statistics_count_both_parts(story):
@@ -256,7 +392,7 @@ def test_a_vehicle_that_has_rebooted_in_the_air_is_refused(story):
 
 def test_a_completed_run_has_nothing_left(story):
     with pytest.raises(RecordError, match="is completed: nothing is left to fly"):
-        read_history(RunFolder(path=story.path), story.file.mission, PRIORS_AU)
+        read_newest(RunFolder(path=story.path))
 
 
 def test_one_program_alone_flies_a_run(story):
@@ -269,3 +405,36 @@ def test_one_program_alone_flies_a_run(story):
         RunRecorder.resume(folder, story.file.mission)
     with RunRecorder.resume(folder, story.file.mission):
         assert folder.summary()["outcome"] == "in flight"
+
+
+def test_a_run_with_its_last_picture_is_completed_on_the_ground(flight):
+    tally = Tally(start_s=0.0, sightings=Sightings(PRIORS_AU), num_pictures_due=8)
+    newest = Newest(time_s=0.0, wall=datetime.now(UTC), boot="", up_s=0.0, start_s=0.0)
+    flight.history = History(
+        newest=newest,
+        laid=None,
+        armed=None,
+        hardware=None,
+        tally=tally,
+        waypoint_au=None,
+        node=None,
+    )
+    result = flight.fly()
+    assert (result.outcome, result.error, result.has_flown) == ("completed", None, False)
+    assert result.is_landed
+    assert "did not take off again" in result.last_word
+    assert result.tally is tally
+    assert flight.commands == []
+
+
+def test_a_vehicle_that_lands_while_the_program_gets_ready_takes_off_again(story):
+    last_s = story.crash_after(12)
+
+    def prepare(link: FakeLink) -> None:
+        _aloft(last_s + 9.0, Mode.LAND)(link)
+        link.vehicle.position[2] = -1.0
+
+    result = story.fly(prepare)
+    assert (result.outcome, result.error) == ("completed", None)
+    assert story.link.commands[0] == "arm"
+    assert len(result.tally.sightings) == 30

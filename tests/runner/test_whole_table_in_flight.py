@@ -9,6 +9,7 @@ import test_camera_in_flight
 import test_flights_in_memory
 import test_guidance_in_flight
 import test_pilot_in_flight
+import test_resume
 import test_set_up_in_flight
 from flights import flown, hangs
 from test_guidance_in_flight import test_a_bad_planner_brings_the_drone_home as bad_planner
@@ -23,6 +24,7 @@ MODULES = (
     test_guidance_in_flight,
     test_pilot_in_flight,
     test_set_up_in_flight,
+    test_resume,
 )
 
 

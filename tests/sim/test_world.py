@@ -36,9 +36,9 @@ def test_animals_face_where_they_walk() -> None:
     simulation = MockFlight(make_mission(), world)
     frame = world.frame(HOME_NED_M, ORIGIN)
     pose = _risen(simulation.autopilot.body.pose(1.0))
-    world.scene(pose, frame)
-    before = world.scene(replace(pose, time_s=41.0), frame)
-    after = world.scene(replace(pose, time_s=41.1), frame)
+    world.scene(pose, frame, 1.0)
+    before = world.scene(pose, frame, 41.0)
+    after = world.scene(pose, frame, 41.1)
     for a, b in zip(before.animals, after.animals, strict=True):
         north, east = (y - x for x, y in zip(a.position_ned_m, b.position_ned_m, strict=True))
         assert math.hypot(north, east) == pytest.approx(0.05 * 5.0 * 0.1, rel=1e-3)
@@ -56,12 +56,12 @@ def test_animals_rest_until_the_first_picture_in_the_air() -> None:
     world = World(mission)
     pose = MockFlight(mission, world).autopilot.body.pose(14.0)
     frame = world.frame(HOME_NED_M, ORIGIN)
-    world.scene(pose, frame)  # the camera is tried on the ground
-    at_rest = world.scene(_risen(replace(pose, time_s=20.0)), frame)
+    world.scene(pose, frame, 14.0)  # the camera is tried on the ground
+    at_rest = world.scene(_risen(pose), frame, 20.0)
     starts = frame.au_to_ned(world.targets_au(0.0))
     for animal, start in zip(at_rest.animals, starts, strict=True):
         assert animal.position_ned_m == pytest.approx(tuple(start), abs=1e-3)
-    later = world.scene(_risen(replace(pose, time_s=23.0)), frame)
+    later = world.scene(_risen(pose), frame, 23.0)
     moved = [
         math.dist(a.position_ned_m, b.position_ned_m)
         for a, b in zip(at_rest.animals, later.animals, strict=True)

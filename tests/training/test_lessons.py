@@ -16,6 +16,7 @@ SETTINGS = SearchSettings(num_drawn=40, num_refined=20, num_planned=10)
 SETUPS = [
     Setup(seed=10_000, num_targets=2, num_nodes=25, speed_ratio=0.1),
     Setup(seed=10_001, num_targets=2, num_nodes=25, speed_ratio=0.05),
+    Setup(seed=10_002, num_targets=2, num_nodes=25, speed_ratio=0.05, prior="none"),
 ]
 
 
@@ -26,8 +27,8 @@ def make_lesson() -> Lesson:
     return teach(
         network,
         SETUPS,
-        is_taught=[True, False],
-        is_greedy=[True, True],
+        is_taught=[True, False, True],
+        is_greedy=[True, True, True],
         history=8,
         num_decisions=15,
         settings=SETTINGS,
@@ -38,10 +39,11 @@ def make_lesson() -> Lesson:
 def test_every_neighbour_is_scored_and_the_teacher_flies_to_the_best() -> None:
     lesson = make_lesson()
     segment = lesson.rollout.segment
-    episodes = torch.arange(2)[:, None]
+    episodes = torch.arange(3)[:, None]
     mask = segment.graphs.neighbour_mask[episodes, segment.nodes]
     assert torch.equal(lesson.gains.isfinite(), mask)
-    assert torch.equal(lesson.rollout.actions[0], lesson.gains[0].argmax(-1))
+    for taught in (0, 2):
+        assert torch.equal(lesson.rollout.actions[taught], lesson.gains[taught].argmax(-1))
     assert torch.equal(lesson.rollout.actions[1], lesson.rollout.logits[1].argmax(-1))
 
 

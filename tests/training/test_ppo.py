@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from dronemon.env import Setup
 from dronemon.policy import NetworkConfig, PolicyNetwork
+from dronemon.training import ppo as ppo_module
 from dronemon.training.peers import Peers
 from dronemon.training.ppo import Ppo, PpoConfig, entropy, scaled_rewards
 
@@ -65,10 +68,54 @@ def test_the_average_follows_the_weights_and_comes_back() -> None:
     assert torch.equal(again.average.module.decoder.value.weight, mean)
 
 
-def test_the_curriculum_raises_the_targets_speed() -> None:
-    still = make_ppo(replace(CONFIG, curriculum_episodes=10**9)).play()
-    moving = make_ppo(replace(CONFIG, curriculum_episodes=0)).play()
-    assert float(still.rewards.sum()) != float(moving.rewards.sum())
+def test_without_averaging_the_last_weights_are_kept() -> None:
+    ppo = make_ppo(replace(CONFIG, averaging=0.0, epochs=1))
+    ppo.learn(ppo.play())
+    kept = ppo.average.module.state_dict()
+    assert all(torch.equal(kept[name], w) for name, w in ppo.network.state_dict().items())
+
+
+def test_advantages_are_normalised_unless_told_otherwise() -> None:
+    def gradient(scale: float, *, is_normalised: bool) -> float:
+        config = replace(CONFIG, normalise_advantages=is_normalised, reward_scale=scale, epochs=1)
+        ppo = make_ppo(replace(config, minibatch_episodes=4, discount=0.0, value_weight=0.0))
+        return ppo.learn(ppo.play())["gradient"]
+
+    assert gradient(1e4, is_normalised=False) > 50.0 * gradient(1e2, is_normalised=False)
+    few, many = (gradient(scale, is_normalised=True) for scale in (1e2, 1e4))
+    assert many == pytest.approx(few, rel=0.1)
+
+
+def test_the_curriculum_raises_the_targets_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    setups: list[Setup] = []
+    monkeypatch.setattr(ppo_module, "play", lambda *args, **_: setups.extend(args[2]))
+    ppo = make_ppo(replace(CONFIG, curriculum_episodes=4000, max_speed_ratio=0.1))
+    for ppo._num_iterations in range(1200):
+        ppo.play()
+    speeds = np.array([setup.speed_ratio for setup in setups])
+    episodes = np.arange(len(speeds)) // 4 * 4
+    shares = speeds / (0.1 * np.minimum(1.0, (episodes + 1) / 4001))
+    assert speeds[:40].max() < 0.001
+    assert shares.max() <= 1.0
+    early, late = shares[:4000], shares[4000:]
+    assert early.mean() == pytest.approx(0.5, abs=0.03)  # uniform up to what the curriculum allows
+    assert late.mean() == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_learning_rate_decays() -> None:
+    config = replace(CONFIG, decisions=4, epochs=1, decay_iterations=2, decay=0.5)
+    ppo = make_ppo(config)
+    rates = [ppo.iterate(0.0)["learning_rate"] for _ in range(5)]
+    assert rates == pytest.approx([3e-3, 3e-3, 1.5e-3, 1.5e-3, 7.5e-4])
+    assert ppo._optimizer.param_groups[0]["lr"] == rates[-1]
+
+
+def test_a_policy_goes_no_further_than_it_may_in_one_iteration() -> None:
+    def divergence(clip: float) -> float:
+        ppo = make_ppo(replace(CONFIG, epochs=40, value_weight=0.0, clip=clip))
+        return ppo.learn(ppo.play())["kl"]
+
+    assert divergence(0.05) < 0.3 * divergence(1e9)
 
 
 def test_rewards_of_both_objectives() -> None:

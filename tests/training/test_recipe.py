@@ -44,13 +44,27 @@ def test_the_shipped_recipes_are_the_papers_ours_and_that_of_the_shipped_weights
     assert load_recipe("expert") == Recipe()
     shipped, recipe = load_checkpoint(find_checkpoint(None)), load_recipe("stamp")
     assert recipe.network == shipped.network.config
-    assert recipe.facts["settings"] == shipped.card.settings
+    now, then = recipe.facts["settings"], dict(shipped.card.settings)
+    finish = then.pop("finish")
+    assert isinstance(finish, dict)
+    younger = {"priors", "normalise_advantages", "averaging"}  # than the weights
+    assert {n: v for n, v in now.items() if n not in younger | {"finish"}} == then
+    assert {n: v for n, v in now["finish"].items() if n not in younger} == finish
     assert recipe.scope == shipped.card.scope
+
+
+def test_the_networks_of_table_2_differ_in_one_thing_alone() -> None:
+    whole, blind, lstm = map(load_recipe, ("table2", "table2-no-predictions", "table2-lstm"))
+    assert replace(blind, network=replace(blind.network, predictions=True)) == whole
+    assert replace(lstm, network=replace(lstm.network, temporal="attention")) == whole
+    assert whole.network == NetworkConfig(width=64, feed_forward=128)
 
 
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
+        ("settings: {priors: [all]}", ":1: settings.priors[0]: input should be 'full', 'number'"),
+        ("settings: {priors: []}", ":1: settings.priors: "),
         ("learner: export", ":1: learner: input should be 'ppo' or 'expert', but is 'export'"),
         ("network:\n  widht: 32", ":2: network.widht: no such key; did you mean `width`?"),
         ("settings:\n  clip: 0.1", ":2: settings.clip: no such key"),
@@ -71,5 +85,5 @@ def test_a_mistake_is_named_with_its_line(tmp_path: Path, text: str, complaint: 
 
 
 def test_a_missing_recipe_is_named_with_those_there_are() -> None:
-    with pytest.raises(OptionError, match="shipped are: expert, paper, stamp"):
+    with pytest.raises(OptionError, match="shipped are: expert, paper, stamp, table2"):
         load_recipe("stomp")

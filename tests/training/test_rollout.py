@@ -11,6 +11,8 @@ from dronemon.training.rollout import Rollout, greedy, play, sampled
 SETUPS = [
     Setup(seed=10_000, num_targets=2, num_nodes=25, speed_ratio=0.1),
     Setup(seed=10_001, num_targets=3, num_nodes=30, speed_ratio=0.05),
+    Setup(seed=10_002, num_targets=3, num_nodes=30, speed_ratio=0.05, prior="number"),
+    Setup(seed=10_003, num_targets=3, num_nodes=30, speed_ratio=0.05, prior="none"),
 ]
 
 

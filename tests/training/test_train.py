@@ -15,9 +15,12 @@ from pathlib import Path
 
 import pytest
 import torch
+import typer
+from typer.testing import CliRunner
 
 from dronemon.errors import CheckpointMismatch
 from dronemon.policy import NetworkConfig, load_checkpoint, read_tensors
+from dronemon.training.command import train_command
 from dronemon.training.imitation import ExpertConfig
 from dronemon.training.ppo import PpoConfig
 from dronemon.training.recipe import Recipe, load_recipe
@@ -42,6 +45,7 @@ EXPERT = ExpertConfig(
     num_nodes=(20, 30),
     history=(8, 12),
     num_targets=(2, 3),
+    priors=("full", "number", "none"),
     teacher_drawn=20,
     teacher_refined=10,
     finish=replace(PAPER, objective="unc"),
@@ -89,6 +93,24 @@ def first_iteration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("first") / "run"
     run(make_plan(folder), 1)
     return folder
+
+
+@pytest.mark.slow
+def test_several_recipes_are_trained_one_after_another_each_to_its_end(tmp_path: Path) -> None:
+    names = []
+    for learner, recipe in RECIPES.items():
+        names.append(str(tmp_path / f"{learner}.yaml"))
+        Path(names[-1]).write_text(recipe.text)
+    app = typer.Typer()
+    app.command()(train_command)
+    asked = ["--recipe", ", ".join(names), "--minutes", "0.1", "--validation-episodes", "1"]
+    asked += ["--workers", "1", "--device", "cpu", "--out", str(tmp_path / "out")]
+    for _ in range(2):  # the second time nothing is left to do
+        done = CliRunner().invoke(app, asked)
+        assert done.exit_code == 0, done.output
+        assert done.output.count("best weights: ") == 2
+        lines = [(tmp_path / "out" / n / "metrics.jsonl").read_text() for n in RECIPES]
+    assert all(line.count("val_unc") == 1 for line in lines)
 
 
 @pytest.mark.slow
@@ -185,13 +207,26 @@ def test_a_run_survives_kill_9(tmp_path: Path) -> None:
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     before = read_tensors(tmp_path / "state.pt")["run"]
+    spent_s = float((tmp_path / "spent_s").read_text())
     assert spawn(tmp_path, before["elapsed_s"] / 60.0 + 0.1, *options).wait() == 0
     after = read_tensors(tmp_path / "state.pt")["run"]
     assert after["iteration"] > before["iteration"]
+    assert after["elapsed_s"] > max(spent_s, before["elapsed_s"])
     lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
     assert [json.loads(line)["iteration"] for line in lines] == [
         i + 1 for i in range(after["iteration"])
     ]
+
+
+def test_time_spent_in_an_iteration_that_was_killed_counts(
+    first_iteration: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(first_iteration, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "spent_s").write_text("5000.0\n")
+    run(make_plan(tmp_path), 2)
+    rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    assert rows[0]["minutes"] < 60.0
+    assert rows[1]["minutes"] > 5000.0 / 60.0
 
 
 @pytest.mark.slow

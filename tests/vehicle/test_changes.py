@@ -26,7 +26,8 @@ def after():
             async with FakeLink() as link:
                 link.vehicle = shared
                 await link.wait_ready(10.0)
-                await asyncio.wait_for(story(link, Changes(link, told.append)), 60.0)
+                with Changes(link, told.append) as changes:
+                    await asyncio.wait_for(story(link, changes), 60.0)
 
         virtual_time.run(tell())
         return told
@@ -99,7 +100,7 @@ def test_nothing_is_changed_or_put_back_while_it_is_armed(after):
 def test_nothing_is_changed_that_could_not_be_put_back(after):
     async def unreadable(link: FakeLink, changes: Changes) -> None:
         link.vehicle.parameters["GF_ACTION"] = float("nan")
-        with pytest.raises(CommandRejected, match="cannot be read"):
+        with pytest.raises(CommandRejected, match="this link cannot read"):
             await changes.make({"GF_ACTION": 5.0})
 
     async def no_disk(link: FakeLink, changes: Changes) -> None:
@@ -185,3 +186,21 @@ def test_a_damaged_file_is_named(after, text):
             await changes.put_back()
 
     after(put_back)
+
+
+def test_one_program_alone_changes_a_vehicle(after):
+    async def story(link: FakeLink, changes: Changes) -> None:
+        await changes.lay_fence(OURS)
+        laid = link.vehicle.fence
+        for change in (Changes.put_back, lambda c: c.make({"GF_ACTION": 5.0})):
+            with (
+                Changes(link, print) as second,
+                pytest.raises(CommandRejected, match="another program flies or changes"),
+            ):
+                await change(second)
+        assert link.vehicle.fence == laid
+        await changes.put_back()
+
+    after(story)
+    after(story)  # who is at its end leaves the vehicle to others
+    assert list(state_folder().iterdir()) == []

@@ -47,6 +47,21 @@ def test_a_refusal_says_what_the_autopilot_says():
     air.run(story, command_timeout_s=3.0)
 
 
+def test_a_pilot_who_takes_it_while_it_is_armed_is_left_alone():
+    air = Air()
+    air.beats(VEHICLE)
+    air.flies(VEHICLE)
+    taken = {ARM: lambda: air.beats(VEHICLE, Mode.POSITION, is_armed=True)}
+    air.on_command = lambda number: taken.get(number, lambda: None)()
+
+    async def story(link):
+        await link.next_pose()
+        with pytest.raises(ControlTaken, match="the pilot chose mode 'position'"):
+            await link.arm()
+
+    air.run(story)
+
+
 @pytest.mark.slow
 def test_a_command_that_is_not_answered_is_sent_again():
     air = flying()

@@ -247,7 +247,7 @@ def test_pictures_are_jpeg_and_carry_footprint_and_detections(recording: Path) -
     assert np.abs(np.array(ring) - edge_px).sum(axis=1).min() < 0.1
 
 
-def test_poses_are_thinned_and_a_reboot_restarts_them(tmp_path: Path) -> None:
+def test_poses_are_thinned_and_a_reboot_goes_on_with_them(tmp_path: Path) -> None:
     with view(tmp_path / "flight.rrd") as shown:
         shown.take(area_laid())
         for step in range(100):
@@ -256,7 +256,7 @@ def test_poses_are_thinned_and_a_reboot_restarts_them(tmp_path: Path) -> None:
     times_s = [
         t for t, _ in rows(tmp_path / "flight.rrd", "/map/vehicle", "Transform3D:translation")
     ]
-    assert times_s == pytest.approx([0.5, 50.0, 50.2, 50.4, 50.6, 50.8], abs=0.011)
+    assert times_s == pytest.approx([50.0, 50.75, 50.75], abs=0.011)  # 15 times real time
 
 
 def block_worker(shown: FlightView) -> threading.Event:

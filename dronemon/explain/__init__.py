@@ -1,0 +1,1 @@
+"""Why a decision of a recorded flight was made: `dronemon explain`."""
