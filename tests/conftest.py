@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -18,6 +20,7 @@ from simulated_vehicle import (
     ROOT,
     MockVehicle,
     StartMockVehicle,
+    StartProgram,
     first_line,
     free_udp_port,
 )
@@ -37,6 +40,19 @@ torch.set_num_threads(1)  # a second thread is ruinous for small matrices on a b
 def _own_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept for vehicles is this test's alone; its programs inherit that."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def start_program() -> Iterator[StartProgram]:
+    """Starts processes as `Popen` does; what still runs when the test ends is killed."""
+    with contextlib.ExitStack() as running:
+
+        def start(command: Sequence[object], **options: Any) -> subprocess.Popen[Any]:
+            process = running.enter_context(subprocess.Popen(command, **options))
+            running.callback(process.kill)  # before the wait in which a Popen's context ends
+            return process
+
+        yield start
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The simulated vehicle as a process, for tests of whatever flies it."""
+"""Processes of a test, and the simulated vehicle as one, for tests of whatever flies it."""
 
 from __future__ import annotations
 
@@ -68,3 +68,4 @@ def first_line(process: subprocess.Popen[bytes]) -> str:
 
 
 StartMockVehicle = Callable[..., MockVehicle]
+StartProgram = Callable[..., subprocess.Popen[Any]]

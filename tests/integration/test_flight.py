@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_vehicle import StartMockVehicle, free_udp_port
+from simulated_vehicle import StartMockVehicle, StartProgram, free_udp_port
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,9 +22,11 @@ ROOT = Path(__file__).parents[2]
 class Flight:
     """`dronemon fly` as a child process."""
 
-    def __init__(self, out: Path, *options: str, before: Sequence[str] = ()) -> None:
+    def __init__(
+        self, start: StartProgram, out: Path, *options: str, before: Sequence[str] = ()
+    ) -> None:
         self.out = out
-        self.process = subprocess.Popen(
+        self.process = start(
             [*before, sys.executable, "-m", "dronemon.cli", "fly", "--out", str(out), *options],
             cwd=ROOT,
             stdout=subprocess.PIPE,
@@ -53,20 +56,14 @@ class Flight:
 
 
 @pytest.fixture
-def fly(tmp_path: Path):
-    flights: list[Flight] = []
+def fly(tmp_path: Path, start_program: StartProgram):
+    number = itertools.count()
 
     def start(*options: str, before: Sequence[str] = ()) -> Flight:
-        out = tmp_path / f"run{len(flights)}"
-        flights.append(Flight(out, "--speed-up", "20", *options, before=before))
-        return flights[-1]
+        out = tmp_path / f"run{next(number)}"
+        return Flight(start_program, out, "--speed-up", "20", *options, before=before)
 
-    yield start
-    for flight in flights:
-        flight.process.kill()
-        flight.process.wait()
-        if flight.process.stdout is not None:
-            flight.process.stdout.close()
+    return start
 
 
 def _verify(flight: Flight) -> None:

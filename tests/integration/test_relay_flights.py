@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from simulated_vehicle import StartProgram
 
 from dronemon.recorder import RunFolder
 
@@ -28,11 +29,13 @@ SIDE_S = 60.0 / 5.0
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 
-def _program(folder: Path, relay: str, faults: str) -> subprocess.Popen[str]:
+def _program(
+    start_program: StartProgram, folder: Path, relay: str, faults: str
+) -> subprocess.Popen[str]:
     text = MISSION.replace("RELAY", relay).replace("FAULTS", faults)
     (folder / "relay.yaml").write_text(text)
     command = [sys.executable, "-m", "dronemon.cli", "fly", "relay.yaml", "--out", "run"]
-    return subprocess.Popen(
+    return start_program(
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
 
@@ -47,9 +50,11 @@ def _ask(command: str, run: Path) -> str:
     return done.stdout + done.stderr
 
 
-def test_ninety_sides_take_three_fresh_batteries_and_beliefs_age_across_each(tmp_path: Path):
+def test_ninety_sides_take_three_fresh_batteries_and_beliefs_age_across_each(
+    start_program: StartProgram, tmp_path: Path
+):
     relay = "horizon_au: 90, endurance_min: 11, relay: automatic"
-    program = _program(tmp_path, relay, "swap=40")
+    program = _program(start_program, tmp_path, relay, "swap=40")
     said, _ = program.communicate()
     assert program.returncode == 0, said
     run = RunFolder.open(tmp_path / "run")
@@ -70,14 +75,22 @@ def test_ninety_sides_take_three_fresh_batteries_and_beliefs_age_across_each(tmp
     assert summary["unc"] is not None
 
 
-def test_a_second_terminal_sees_a_flight_wait_and_sends_it_on(tmp_path: Path):
+def test_a_second_terminal_sees_a_flight_wait_and_sends_it_on(
+    start_program: StartProgram, tmp_path: Path
+):
     relay = "horizon_au: 9, endurance_min: 3.5, relay: confirmed"
-    program, run = _program(tmp_path, relay, "swap=40, reboot@200"), tmp_path / "run"
-    while "waiting:" not in (told := _ask("status", run)):
-        assert program.poll() is None, program.communicate()[0]
-        if "patrol" in told:
-            assert "does not wait for a word" in _ask("resume", run)
-        time.sleep(0.5)
+    program = _program(start_program, tmp_path, relay, "swap=40, reboot@200")
+    run = tmp_path / "run"
+
+    def look_until(phase: str) -> str:
+        while phase not in (told := _ask("status", run)):
+            assert program.poll() is None, program.communicate()[0]
+            time.sleep(0.2)
+        return told
+
+    look_until("patrol")
+    assert "does not wait for a word" in _ask("resume", run)
+    told = look_until("waiting:")
     assert "waits on the ground" in told
     before = [event["kind"] for event in RunFolder.open(run).events()]
     assert "it goes on" in _ask("resume", run)

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 from pymavlink import mavutil
-from simulated_vehicle import StartMockVehicle, free_udp_port
+from simulated_vehicle import StartMockVehicle, StartProgram, free_udp_port
 
 from dronemon.recorder import RunFolder
 
@@ -96,6 +96,7 @@ def has_event(run: Path, kind: str) -> bool:
 )
 def test_a_killed_flight_is_safe_at_once_and_goes_on(
     mock_vehicle: StartMockVehicle,
+    start_program: StartProgram,
     observer: Observer,
     tmp_path: Path,
     moment: str,
@@ -108,7 +109,7 @@ def test_a_killed_flight_is_safe_at_once_and_goes_on(
     vehicle = mock_vehicle(mission, "--speed-up", f"{SPEED_UP:g}", *streams)
     where = ("--vehicle", vehicle.url, "--follow", f"udpin://127.0.0.1:{port}")
     program = [sys.executable, "-m", "dronemon.cli", "fly"]
-    flying = subprocess.Popen(
+    flying = start_program(
         [*program, str(mission), *where, "--out", str(run)], cwd=ROOT, stdout=subprocess.DEVNULL
     )
     kind, after_s = MOMENTS[moment]

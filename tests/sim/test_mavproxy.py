@@ -9,11 +9,10 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from simulated_vehicle import StartMockVehicle
+from simulated_vehicle import StartMockVehicle, StartProgram
 
 from sim.parameters import TABLE
 
@@ -74,9 +73,9 @@ class Shell:
 
 
 @pytest.fixture
-def shell(mock_vehicle: StartMockVehicle, tmp_path: Path) -> Iterator[Shell]:
+def shell(mock_vehicle: StartMockVehicle, start_program: StartProgram, tmp_path: Path) -> Shell:
     vehicle = mock_vehicle("animals", "--speed-up", "4")
-    process = subprocess.Popen(
+    process = start_program(
         [
             *(str(MAVPROXY), "--master", vehicle.url.replace("://", ":"), "--no-state"),
             "--default-modules=param,wp,fence,mode,arm,cmdlong",
@@ -86,9 +85,7 @@ def shell(mock_vehicle: StartMockVehicle, tmp_path: Path) -> Iterator[Shell]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
     )
-    with process:
-        yield Shell(process)
-        process.kill()
+    return Shell(process)
 
 
 def test_mavproxy_sets_up_and_commands_the_autopilot(shell: Shell, tmp_path: Path) -> None:

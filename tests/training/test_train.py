@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 import torch
 import typer
+from simulated_vehicle import StartProgram
 from typer.testing import CliRunner
 
 from dronemon.errors import CheckpointMismatch
@@ -188,18 +189,20 @@ def write_recipe(folder: Path, text: str) -> Path:
     return path
 
 
-def spawn(out: Path, minutes: float, *options: str) -> subprocess.Popen[bytes]:
+def spawn(
+    start_program: StartProgram, out: Path, minutes: float, *options: str
+) -> subprocess.Popen[bytes]:
     """Start training as a process of its own."""
     command = [sys.executable, "-m", "dronemon.training", "--device", "cpu"]
     command += ["--out", str(out), "--minutes", str(minutes), *options]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    return start_program(command, stdout=subprocess.DEVNULL)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_run_survives_kill_9(tmp_path: Path) -> None:
+def test_a_run_survives_kill_9(start_program: StartProgram, tmp_path: Path) -> None:
     options = ["--validation-episodes", "1", "--recipe", str(write_recipe(tmp_path, SLIM))]
-    process = spawn(tmp_path, 1.0, *options)
+    process = spawn(start_program, tmp_path, 1.0, *options)
     while not (tmp_path / "state.pt").exists():
         time.sleep(0.1)
         assert process.poll() is None
@@ -208,7 +211,7 @@ def test_a_run_survives_kill_9(tmp_path: Path) -> None:
     process.wait()
     before = read_tensors(tmp_path / "state.pt")["run"]
     spent_s = float((tmp_path / "spent_s").read_text())
-    assert spawn(tmp_path, before["elapsed_s"] / 60.0 + 0.1, *options).wait() == 0
+    assert spawn(start_program, tmp_path, before["elapsed_s"] / 60.0 + 0.1, *options).wait() == 0
     after = read_tensors(tmp_path / "state.pt")["run"]
     assert after["iteration"] > before["iteration"]
     assert after["elapsed_s"] > max(spent_s, before["elapsed_s"])
@@ -231,7 +234,9 @@ def test_time_spent_in_an_iteration_that_was_killed_counts(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_two_minutes_of_training_improve_the_reward(tmp_path: Path) -> None:
+def test_two_minutes_of_training_improve_the_reward(
+    start_program: StartProgram, tmp_path: Path
+) -> None:
     network = "network: {width: 32, feed_forward: 128, ways: true}\n"
     for name, minutes, learner in (
         ("untrained", 0.1, "learner: ppo\nsettings: {episodes_per_iteration: 4, decisions: 96}\n"),
@@ -239,7 +244,7 @@ def test_two_minutes_of_training_improve_the_reward(tmp_path: Path) -> None:
     ):
         recipe = write_recipe(tmp_path / name, learner + network)
         options = ["--validation-episodes", "8", "--recipe", str(recipe)]
-        assert spawn(tmp_path / name, minutes, *options).wait() == 0
+        assert spawn(start_program, tmp_path / name, minutes, *options).wait() == 0
     before, after = (
         load_checkpoint(tmp_path / name / "best.pt").card.scores
         for name in ("untrained", "trained")

@@ -60,11 +60,11 @@ async def lossy_wire(vehicle_port, client_port):
 def test_a_flight_survives_loss_and_delay(mock_vehicle):
     port = free_udp_port()
     url = f"udpin://127.0.0.1:{port}"
-    vehicle_url = mock_vehicle("animals", "--speed-up", "4").url
+    vehicle_url = mock_vehicle("animals", "--speed-up", "1").url
     wire = lossy_wire(int(vehicle_url.rpartition(":")[2]), port)
 
     async def fly():
-        async with asyncio.timeout(100.0), wire, MavsdkLink(url) as link:
+        async with asyncio.timeout(200.0), wire, MavsdkLink(url) as link:
             await link.wait_ready(30.0)
             await link.arm()
             await link.take_off(5.0)
