@@ -77,7 +77,8 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
             console.print("getting ready (the first time code is compiled, for about 15 s)")
             result, truth = await _with_everything(file, planner, request, recorder, newest)
         except BaseException as exc:
-            if recorder.is_empty and SIMULATOR_LOG not in str(exc):  # else one is sent there
+            # A new run whose simulator failed is kept: one is sent to its log.
+            if recorder.is_empty and (request.resume or SIMULATOR_LOG not in str(exc)):
                 recorder.discard()
             else:
                 recorder.finish("failed", {"error": str(exc) or repr(exc)})

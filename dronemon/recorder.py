@@ -62,12 +62,21 @@ class RunRecorder:
     """
 
     def __init__(
-        self, folder: RunFolder, names: Sequence[str], *, is_new: bool, head: Mapping[str, object]
+        self,
+        folder: RunFolder,
+        names: Sequence[str],
+        *,
+        is_new: bool = False,
+        before: Mapping[str, Any] | None = None,
     ) -> None:
+        """is_new: whether the folder was made for it; before: summary of a run that goes on."""
         self.folder = folder
-        self._is_new = is_new
+        self._is_new, self._before = is_new, before
         self._names = tuple(names)
-        self._head = {"started": _stamp("seconds"), "targets": self._names, **head}
+        self._head: dict[str, object] = {"started": _stamp("seconds"), "targets": self._names}
+        if before is not None:
+            resumed = [*before.get("resumed", ()), _stamp("milliseconds")]
+            self._head |= {"started": before.get("started"), "resumed": resumed}
         self._lock = (folder.path / MISSION_FILE).open("rb")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -96,7 +105,7 @@ class RunRecorder:
             _check_space(path, needed_bytes)
             write_new(path / MISSION_FILE, _as_flown(mission))
             names = [target.name for target in mission.targets]
-            recorder = cls(RunFolder(path=path), names, is_new=is_new, head={})
+            recorder = cls(RunFolder(path=path), names, is_new=is_new)
             recorder._write_summary({"outcome": IN_FLIGHT})
         except OSError as exc:
             raise RecordError(
@@ -109,14 +118,10 @@ class RunRecorder:
     def resume(cls, folder: RunFolder, mission: Mission) -> RunRecorder:
         """Go on with a run that has ended, or whose program has. Raises RecordError."""
         before = folder.summary()
-        head = {
-            "started": before.get("started"),
-            "resumed": [*before.get("resumed", ()), _stamp("seconds")],
-        }
         names = [target.name for target in mission.targets]
         try:
             _check_space(folder.path, NEEDED_BYTES)
-            recorder = cls(folder, names, is_new=False, head=head)
+            recorder = cls(folder, names, before=before)
             recorder._write_summary({"outcome": IN_FLIGHT})
         except OSError as exc:
             raise RecordError(
@@ -171,7 +176,7 @@ class RunRecorder:
     @property
     def is_empty(self) -> bool:
         """Whether there was nothing to record."""
-        return not self._lines.num_lines and "resumed" not in self._head
+        return not self._lines.num_lines
 
     def flush(self) -> None:
         """Wait until all lines so far are on disk. Raises RecordError if one is not."""
@@ -179,8 +184,15 @@ class RunRecorder:
             self._lines.flush()
 
     def discard(self) -> None:
-        """Remove a run in which nothing happened; the folder too if it was made for it alone."""
+        """Remove a run in which nothing happened; the folder too if it was made for it alone.
+
+        One that was to go on is as it was.
+        """
+        if self._before is not None:
+            replace_text(self.folder.path / SUMMARY_FILE, _json_text(self._before))
         self.close()
+        if self._before is not None:
+            return
         for file in self.folder.path.iterdir():
             if file.name in RUN_FILES + OTHER_FILES:
                 file.unlink()
@@ -229,9 +241,7 @@ class RunRecorder:
             ) from exc
 
     def _write_summary(self, summary: Mapping[str, object]) -> None:
-        whole = json_value({**self._head, **summary})
-        text = json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
-        replace_text(self.folder.path / SUMMARY_FILE, text)
+        replace_text(self.folder.path / SUMMARY_FILE, _json_text({**self._head, **summary}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -314,6 +324,10 @@ def _as_flown(mission: Mission) -> str:
     data = mission.model_dump(mode="json", exclude_none=True)
     text: str = yaml.dump(data, Dumper=Dumper, sort_keys=False, allow_unicode=True)
     return text
+
+
+def _json_text(summary: Mapping[str, object]) -> str:
+    return json.dumps(json_value(dict(summary)), indent=2, ensure_ascii=False) + "\n"
 
 
 def _now() -> datetime:

@@ -78,6 +78,7 @@ TABLE = (
     Parameter("RTL_LAND_DELAY", 0.0, -1.0, 3600.0),
     Parameter("RTL_MIN_DIST", 10.0, 0.5, 100.0),
     Parameter("RTL_RETURN_ALT", 30.0, 0.0, 1000.0),
+    Parameter("RTL_TYPE", 0, 0, 5),
     Parameter("SYS_AUTOSTART", 10040, 0, 9_999_999),
 )
 _BY_NAME = {parameter.name: parameter for parameter in TABLE}

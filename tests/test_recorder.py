@@ -277,6 +277,19 @@ def test_a_folder_that_a_person_made_is_kept_empty(tmp_path: Path) -> None:
     assert not (tmp_path / "new").exists()
 
 
+def test_a_run_that_was_to_go_on_and_did_not_is_as_it_was(tmp_path: Path) -> None:
+    with create(tmp_path) as run:
+        record_all(run)
+        run.finish("interrupted", {"distance_m": 12.0})
+    before = {file.name: file.read_bytes() for file in run.folder.path.iterdir()}
+    with RunRecorder.resume(run.folder, MISSION) as again:
+        assert run.folder.summary()["outcome"] == "in flight"
+        assert again.is_empty
+        again.discard()
+    assert {file.name: file.read_bytes() for file in run.folder.path.iterdir()} == before
+    assert run.folder.damaged_files() == []
+
+
 def test_what_is_not_the_runs_is_kept(tmp_path: Path) -> None:
     with create(tmp_path) as run:
         (run.folder.path / "truth.jsonl").touch()

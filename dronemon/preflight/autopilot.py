@@ -59,6 +59,12 @@ _HOLD_MARGIN_S = 1.0
 _SLOWEST_START_S = 6.0
 """From arming to leaving the ground: a heartbeat, spooling up, the ramp of the thrust."""
 _HIGH_M = 120.0
+_FENCE_ROOM = 1.2
+_CRITICAL = (
+    {"BAT_CRIT_THR": 0.07, "BAT_EMERGEN_THR": 0.05},
+    {"BAT_CRIT_THR": 0.05, "BAT_EMERGEN_THR": 0.03},
+)
+"""Levels of a critical battery to choose from: PX4's own, and the lowest that it takes."""
 _LONG_HOVER_S = 60.0
 
 
@@ -148,11 +154,21 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
     if problem := battery_problem(mission, facts.away_m, p):
         is_mended = battery_problem(mission, facts.away_m, {**p, **mends}) is None
         return no(f"{what}: {problem}", **(mends if is_mended else {}))
-    if 0.0 < p.get("GF_MAX_VER_DIST", 0.0) <= height_m:
-        return no(f"{what}, which is above GF_MAX_VER_DIST", **mends, GF_MAX_VER_DIST=0.0)
+    if 0.0 < (top_m := p.get("GF_MAX_VER_DIST", 0.0)) <= height_m:
+        if top_m <= mends["RTL_RETURN_ALT"]:
+            mends["GF_MAX_VER_DIST"] = math.ceil(_FENCE_ROOM * flight.altitude_m)
+        return no(f"{what}, which is not below GF_MAX_VER_DIST", **mends)
     if height_m > max(_HIGH_M, flight.altitude_m):
         return warn(f"{what}: higher than the {_HIGH_M:g} m that most rules allow", **mends)
     return go(what)
+
+
+def on_return_place(facts: Facts, _: Mission) -> Judgement:
+    """Where it returns to."""
+    if facts.parameters["RTL_TYPE"] == 0.0:
+        return go("the autopilot returns home, or to a nearer rally point where it has one")
+    what = "the autopilot may return to the landing of a mission, or to a rally point, not home"
+    return no(what, RTL_TYPE=0.0)
 
 
 def on_return_hover(facts: Facts, _: Mission) -> Judgement:
@@ -207,11 +223,11 @@ def on_fence_size(facts: Facts, mission: Mission) -> Judgement:
     problems, mends = [], {}
     if 0.0 < p["GF_MAX_HOR_DIST"] <= reach_m:
         problems.append(f"the farthest corner is {reach_m:.0f} m from home")
-        mends["GF_MAX_HOR_DIST"] = math.ceil(1.2 * reach_m)
+        mends["GF_MAX_HOR_DIST"] = math.ceil(_FENCE_ROOM * reach_m)
     if 0.0 < p["GF_MAX_VER_DIST"] <= height_m:
         problems.append(f"the patrol is at {height_m:g} m")
-        mends["GF_MAX_VER_DIST"] = math.ceil(1.2 * height_m)
-    if problems and p["GF_ACTION"] > 0:
+        mends["GF_MAX_VER_DIST"] = math.ceil(_FENCE_ROOM * height_m)
+    if problems:
         return no(f"{' and '.join(problems)}: outside this fence", **mends)
     return go("the patrol is within the fence around home, where there is one")
 
@@ -228,11 +244,11 @@ def on_battery_levels(facts: Facts, mission: Mission) -> Judgement:
         )
     level = max(p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
     if not level < ours:
+        mends = next((levels for levels in _CRITICAL if levels["BAT_CRIT_THR"] < ours), {})
         return no(
             f"the autopilot acts at {level:.0%}, before this program has landed, with "
-            f"flight.reserve_battery, {ours:.0%}",
-            BAT_CRIT_THR=0.07,
-            BAT_EMERGEN_THR=0.05,
+            f"flight.reserve_battery, {ours:.0%}{'' if mends else ': raise that'}",
+            **mends,
         )
     if action == 2:
         what = f"at {level:.0%} the autopilot lands where it is, whatever is below"

@@ -40,7 +40,8 @@ _RESET_LIMIT_S = 30.0
 class FlightResult:
     """How a flight ended.
 
-    outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`.
+    outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`;
+    was_taken_home: whether a pilot had control on the way home.
     has_flown: whether it was armed; is_landed: whether the motors are off for sure; if not,
     last_seen has the last words.
     landing_error_m: distance from where it was armed, None if it did not take off or land, or if
@@ -57,6 +58,7 @@ class FlightResult:
     landing_battery: float | None
     tally: Tally | None
     error: DronemonError | None
+    was_taken_home: bool = False
     is_resumed: bool = False
 
     @property
@@ -124,6 +126,7 @@ class _Flight:
             landing_battery=self._battery.flown_to if supervisor.is_down else None,
             tally=self._tally(),
             error=supervisor.error,
+            was_taken_home=supervisor.was_taken_home,
             is_resumed=self._history is not None,
         )
 
@@ -180,6 +183,7 @@ class _Flight:
         """Lay the area over the ground, try the camera, brief the planner."""
         setup, mission, link = self._setup, self._mission, self._link
         self._is_attached = setup.history is not None and link.state.is_armed
+        self._changes.claim()
         if not self._is_attached:
             await self._changes.put_back()  # what a flight before this one left
         await self._changes.make(setup.settings)

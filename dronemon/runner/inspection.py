@@ -13,6 +13,7 @@ from dronemon.camera import check_picture
 from dronemon.errors import CameraError, DronemonError, LinkLost, VehicleError
 from dronemon.fence import Fence
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
+from dronemon.guard import Reason
 from dronemon.mission import Mission
 from dronemon.preflight import (
     PARAMETERS,
@@ -30,7 +31,7 @@ from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, try_detector
 from dronemon.runner.supervisor import FAILSAFE_HOLD_LIMIT_S
 from dronemon.types import Picture
-from dronemon.vehicle import VehicleLink, VehicleState
+from dronemon.vehicle import Landed, VehicleLink, VehicleState
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import areas_of
 
@@ -196,6 +197,9 @@ async def inspect_vehicle(
     tried = in_daemon_thread(try_it, "the detector", CameraError, _DETECTOR_LIMIT_S)
     detector = await _problem(tried)
     unready = await _problem(link.wait_ready(mission.vehicle.ready_timeout_s))
+    await link.next_heartbeat()  # a fresh state
+    if link.state.is_armed or link.state.landed is not Landed.ON_GROUND:
+        unready = str(Reason.NOT_OURS)
     async with contextlib.AsyncExitStack() as stack:
         changes = stack.enter_context(Changes(link, tell))
         await changes.put_back()

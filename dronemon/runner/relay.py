@@ -79,15 +79,16 @@ class Relay:
     def _judge(self, landed: FlightResult, *, is_refused: bool) -> None:
         """What a fresh battery shows after this landing, and whether that alone is enough.
 
-        It is not where none can be told from the one that landed, after a landing elsewhere, nor
-        after a try that was refused.
+        It is not where none can be told from the one that landed, after a landing elsewhere, where
+        a pilot had control on the way, nor after a try that was refused.
         """
         level, away_m = landed.landing_battery, landed.landing_error_m
         self._is_told = level is not None and level + _RISE <= _MOST
         self._least = max(FRESH_LEVEL, level + _RISE if level and self._is_told else 0.0)
         is_at_home = away_m is not None and away_m <= _AT_HOME_M
         is_asked_for = self._mission.flight.relay == "confirmed" or is_refused
-        self._needs_word = is_asked_for or not self._is_told or not is_at_home
+        is_unclear = not self._is_told or not is_at_home or landed.was_taken_home
+        self._needs_word = is_asked_for or is_unclear
 
     def _note(self, text: str, level: Level = "INFO", kind: str = BATTERY) -> None:
         self._events.note(kind, text, level=level)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -46,7 +45,7 @@ def _status(folder: RunFolder, mission: Mission) -> dict[str, str]:
         newest_au |= {name: seen["time_au"] for name in names if seen["targets"][name]["seen"]}
     table = {"program": _program(folder)}
     if folder.is_flown():
-        table["doing"] = _doing(events)
+        table["doing"] = _doing(_of_the_living(folder, events))
     if events:
         event = events[-1]
         table["last event"] = f"{_ago(event['wall'])}: {event['kind']}: {event['text']}"
@@ -75,7 +74,7 @@ def ask_to_go_on(folder: RunFolder) -> None:
             f"no program flies {folder.path}; go on with it: dronemon fly --resume {folder.path}"
         )
     with understanding(folder):
-        event = _last(folder.events())
+        event = next(reversed(_of_the_living(folder, folder.events())), None)
         doing = f"{event['kind']}: {event['text']}" if event else "it has only begun"
     if event is None or event["kind"] != WAITING:
         raise RecordError(f"{folder.path} does not wait for a word: {doing}")
@@ -104,6 +103,13 @@ def _program(folder: RunFolder) -> str:
     return f"ended: {outcome}"
 
 
+def _of_the_living(folder: RunFolder, events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Events of the program that flies a run, without those of programs that flew it before."""
+    resumed = folder.summary().get("resumed")
+    since = datetime.fromisoformat(resumed[-1] if resumed else "0001-01-01T00:00:00+00:00")
+    return [event for event in events if datetime.fromisoformat(event["wall"]) >= since]
+
+
 def _doing(events: Sequence[Mapping[str, Any]]) -> str:
     """What a program that flies does, by the last event that begins something."""
     begun = [event["kind"] for event in events if event["kind"] in _BEGINNINGS]
@@ -113,7 +119,3 @@ def _doing(events: Sequence[Mapping[str, Any]]) -> str:
 def _ago(wall: str) -> str:
     passed_s = (datetime.now(UTC) - datetime.fromisoformat(wall)).total_seconds()
     return f"{max(passed_s, 0.0):.0f} s ago"
-
-
-def _last(lines: Iterator[dict[str, Any]]) -> dict[str, Any] | None:
-    return next(iter(deque(lines, maxlen=1)), None)

@@ -73,6 +73,7 @@ class Supervisor:
     outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`; error: what
     went wrong first, also if the drone came home after it.
     was_armed: whether we armed it; is_down: whether the motors are off for sure.
+    was_taken_home: whether a pilot had control on the way home.
     """
 
     def __init__(
@@ -95,7 +96,7 @@ class Supervisor:
         self.state = self._before = State.PREPARING
         self.outcome = "failed"
         self.error: DronemonError | None = None
-        self.was_armed = self.is_down = False
+        self.was_armed = self.is_down = self.was_taken_home = False
         self._setback = Setback.NONE
         self._problem: DronemonError | None = None  # behind the setback
         self._down_by_s: float | None = None  # while it is on its way down
@@ -277,6 +278,7 @@ class Supervisor:
             if advice.reason in {Reason.BATTERY_LOW, Reason.TIME_UP}:
                 self._events.note("battery", f"{advice.reason}: {self._battery}")
         elif advice.state is State.PILOT:
+            self.was_taken_home |= self.state in HOMEWARD
             self._let_go("control taken")
         elif self.state is State.PILOT and advice.state is not State.ENDED:
             self._events.note("control given back", "the mode is offboard again")

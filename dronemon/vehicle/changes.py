@@ -26,7 +26,7 @@ Tell = Callable[[str], None]
 
 
 class ChangesTaken(CommandRejected):
-    """Another program changes the vehicle."""
+    """Another program flies or changes the vehicle."""
 
 
 class Changes:
@@ -51,8 +51,8 @@ class Changes:
             self._lock.close()
             self._lock = None
 
-    def _claim(self) -> None:
-        """Keep others from changing the vehicle. Raises CommandRejected, RecordError."""
+    def claim(self) -> None:
+        """Keep other programs from it until the end. Raises CommandRejected, RecordError."""
         if self._lock is None:
             self._lock = _locked(self._path.with_suffix(".lock"))
 
@@ -64,7 +64,7 @@ class Changes:
         """
         if not settings:
             return
-        self._claim()
+        self.claim()
         self._refuse_if_armed()
         present = await self._link.read_parameters(settings)
         for name in settings:
@@ -90,7 +90,7 @@ class Changes:
         PX4 keeps to all areas at once. Behind a circle PX4 v1.17 misreads polygons: ours is first.
         Raises CommandRejected, VehicleError, RecordError, LinkLost.
         """
-        self._claim()
+        self.claim()
         self._refuse_if_armed()
         own = await self._link.read_fence()
         laid = (*fence, *own)
@@ -100,9 +100,11 @@ class Changes:
     async def put_back(self) -> None:
         """Put back what is kept, if anything is. Raises CommandRejected, LinkLost, RecordError."""
         if self._link.state.hardware is not None:
-            self._claim()
-            await self._put_back_fence()
-            await self._put_back_parameters()
+            self.claim()
+            try:
+                await self._put_back_fence()
+            finally:  # a fence that cannot be read keeps no parameter
+                await self._put_back_parameters()
 
     async def _put_back_fence(self) -> None:
         if not (kept := _load_fence(self._fence_path)):

@@ -108,6 +108,8 @@ def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
         ("height of the return", {"RTL_RETURN_ALT": 150}, WARNING),
         ("height of the return", {"RTL_RETURN_ALT": 900}, NO_GO),
         ("height of the return", {"RTL_RETURN_ALT": 60, "GF_MAX_VER_DIST": 55}, NO_GO),
+        ("height of the return", {"RTL_RETURN_ALT": 60, "GF_MAX_VER_DIST": 40}, NO_GO),
+        *(("place of the return", {"RTL_TYPE": n}, NO_GO) for n in (1, 2, 3, 5)),
         ("landing after it", {"RTL_LAND_DELAY": -1}, NO_GO),
         ("landing after it", {"RTL_LAND_DELAY": 90}, WARNING),
         *(("fence crossed", {"GF_ACTION": n}, WARNING) for n in (1, 2, 5)),
@@ -115,7 +117,7 @@ def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
         (FENCE, {"GF_MAX_HOR_DIST": 141}, NO_GO),
         (FENCE, {"GF_MAX_HOR_DIST": 142}, GO),
         (FENCE, {"GF_MAX_VER_DIST": 45}, NO_GO),
-        (FENCE, {"GF_MAX_VER_DIST": 45, "GF_ACTION": 0}, GO),
+        (FENCE, {"GF_MAX_HOR_DIST": 141, "GF_ACTION": 0}, NO_GO),
         (BATTERY, {"COM_LOW_BAT_ACT": 0}, WARNING),
         (BATTERY, {"COM_LOW_BAT_ACT": 2}, WARNING),
         (BATTERY, {"BAT_CRIT_THR": 0.25, "BAT_LOW_THR": 0.3}, NO_GO),
@@ -139,6 +141,26 @@ def test_a_set_up_is_judged_and_what_mends_it_mends_it(
     if mends:
         mended = replace(FACTS, parameters=GOOD | parameters | mends)
         assert _found(name, mended).judgement.verdict is GO
+
+
+@pytest.mark.parametrize(("reserve", "has_mend"), [(0.15, True), (0.06, True), (0.05, False)])
+def test_levels_that_mend_are_below_the_reserve(reserve: float, has_mend: bool):
+    flight = MISSION.flight.model_copy(update={"reserve_battery": reserve})
+    mission = MISSION.model_copy(update={"flight": flight})
+
+    def found(levels: dict[str, float]) -> Finding:
+        facts = replace(FACTS, parameters=GOOD | levels)
+        return next(f for f in judge(facts, mission) if f.name == BATTERY)
+
+    refused = found({"BAT_CRIT_THR": 0.3, "BAT_LOW_THR": 0.3}).judgement
+    assert refused.verdict is NO_GO
+    assert bool(refused.mends) is has_mend is not ("raise that" in refused.meaning)
+    assert not has_mend or found(dict(refused.mends)).judgement.verdict is GO
+
+
+def test_a_ceiling_stays_where_a_lower_return_is_below_it():
+    facts = replace(FACTS, parameters=GOOD | {"RTL_RETURN_ALT": 150, "GF_MAX_VER_DIST": 100})
+    assert mending_options(against(judge(facts, MISSION), NO_GO)) == "--set RTL_RETURN_ALT=45"
 
 
 @pytest.mark.parametrize(

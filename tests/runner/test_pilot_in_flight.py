@@ -66,6 +66,19 @@ def test_a_pilot_wins_while_a_command_is_under_way_after_a_failsafe(flight):
     assert "control taken" in flight.record.kinds
 
 
+@pytest.mark.parametrize("moment", ["homecoming", "patrol"])
+def test_a_pilot_on_the_way_home_is_remembered(flight, moment):
+    def take() -> None:
+        flight.link.vehicle.choose(Mode.POSITION)
+        flight.later(5.0, lambda: give_back(flight))
+
+    flight.when(moment, lambda: flight.later(1.0, take))
+    result = flight.fly("battery=0.17@20")
+    assert (result.outcome, result.is_landed) == ("battery low", True)
+    assert "control given back" in flight.record.kinds
+    assert result.was_taken_home is (moment == "homecoming")
+
+
 def test_a_patrol_given_back_low_climbs_before_it_goes_on(flight):
     def sink() -> None:
         flight.link.vehicle.position[2] = -3.0

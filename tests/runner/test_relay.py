@@ -258,6 +258,7 @@ def test_the_battery_that_landed_is_not_a_fresh_one(tmp_path, landed_with):
         {"landing_battery": None},
         {"landing_error_m": 40.0},
         {"landing_error_m": None},
+        {"was_taken_home": True},
     ],
 )
 @pytest.mark.parametrize("has_word", [False, True])
@@ -361,6 +362,17 @@ def test_resume_is_refused_where_nobody_waits(tmp_path):
         ask_to_go_on(flown.folder)
     assert "was killed" in status(flown.folder, flown.mission)["program"]
     assert not (flown.folder.path / REQUEST_FILE).exists()
+
+
+def test_what_the_program_before_did_is_not_told_as_the_living_ones(tmp_path):
+    flown = Flown(tmp_path, "waiting")
+    flown.recorder.close()
+    with RunRecorder.resume(flown.folder, flown.mission):
+        table = status(flown.folder, flown.mission)
+        assert (table["program"], table["doing"]) == ("runs", "gets ready")
+        assert "waiting: so" in table["last event"]
+        with pytest.raises(RecordError, match="does not wait for a word: it has only begun"):
+            ask_to_go_on(flown.folder)
 
 
 def test_resume_reaches_the_program_or_leaves_no_word(tmp_path, monkeypatch):

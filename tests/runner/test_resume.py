@@ -30,6 +30,7 @@ from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import Detection, Pose
 from dronemon.vehicle import Mode
+from dronemon.vehicle.changes import Changes, ChangesTaken
 from dronemon.vehicle.fence_items import FenceItem, polygon_items
 
 MISSION = """
@@ -381,6 +382,42 @@ def test_what_somebody_flies_is_not_taken_over(story, mode):
     assert not result.has_flown
     assert "nothing was commanded" in str(result.error)
     assert story.link.commands == []
+
+
+@pytest.mark.parametrize("prepare", [_aloft, _on_the_ground])
+def test_what_another_program_flies_is_left_alone(story, prepare):
+    last_s = story.crash_after(12)
+
+    async def fly_it() -> Changes:
+        async with FakeLink() as link:
+            await link.wait_ready(10.0)
+            changes = Changes(link, print)
+            changes.claim()
+            return changes
+
+    with virtual_time.run(fly_it()):
+        result = story.fly(prepare(last_s + 9.0))
+    assert not result.has_flown
+    assert "another program flies or changes this vehicle" in str(result.error)
+    assert story.link.commands == []
+
+
+def test_a_vehicle_is_ours_alone_also_when_it_was_met_in_the_air(story):
+    refused = []
+
+    def claim(kind: str) -> None:
+        if kind == "homecoming":
+            with Changes(story.link, print) as second, pytest.raises(ChangesTaken) as caught:
+                second.claim()
+            refused.append(caught)
+
+    def prepare(link: FakeLink) -> None:
+        _aloft(last_s + 9.0)(link)
+        story.watch.on_note = claim
+
+    last_s = story.crash_after(12)
+    assert story.fly(prepare).outcome == "completed"
+    assert len(refused) == 1
 
 
 def test_a_vehicle_that_has_rebooted_in_the_air_is_refused(story):

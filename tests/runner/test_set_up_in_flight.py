@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import fake_link
+import numpy as np
 import pytest
-from fake_link import FakeLink
-from flights import (
-    comes_home,
-)
+import virtual_time
+from fake_link import FakeCamera, FakeLink
+from flights import MISSION, Blind, Listener, Shuttle, comes_home
 
 from dronemon.errors import (
     CommandRejected,
     VehicleError,
 )
 from dronemon.guard import Reason
+from dronemon.mission import load_mission
+from dronemon.preflight import Finding, Verdict, against
+from dronemon.runner import FlightSetup, Interrupts, inspect_vehicle
 from dronemon.runner.flight import NOT_STARTED
 from dronemon.vehicle.changes import state_folder
 from dronemon.vehicle.fence_items import FenceItem, polygon_items
@@ -35,6 +38,33 @@ def test_a_set_up_that_would_do_harm_is_refused_with_what_mends_it(flight):
     assert "fence crossed (GF_ACTION=4): at a fence it stops the motors" in str(result.error)
     assert "--set NAV_DLL_ACT=0 --set GF_ACTION=3" in str(result.error)
     assert flight.link.commands == []
+
+
+@pytest.mark.parametrize("height_m", [0.0, 20.0])
+def test_preflight_of_a_vehicle_that_others_fly_is_no_go(tmp_path, height_m):
+    path = tmp_path / "small.yaml"
+    path.write_text(MISSION)
+
+    async def inspect() -> list[Finding]:
+        async with FakeLink() as link:
+            link.vehicle.is_armed, link.vehicle.position[2] = True, -height_m
+            setup = FlightSetup(
+                file=load_mission(path),
+                link=link,
+                camera=FakeCamera(link, 640, 480),
+                detector=Blind(),
+                planner=Shuttle(),
+                priors_au=np.array([[0.4, 0.6]]),
+                record=Listener(),
+                watchers=(),
+                interrupts=Interrupts(),
+            )
+            findings = await inspect_vehicle(setup, print, lambda findings: None)
+            assert link.commands == []
+            return against(findings, Verdict.NO_GO)
+
+    (refused,) = virtual_time.run(inspect())
+    assert "others fly it" in str(refused)
 
 
 def test_a_warning_is_told_and_flown_with(flight):

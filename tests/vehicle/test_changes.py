@@ -176,6 +176,17 @@ def test_a_damaged_file_of_a_fence_is_named(after, text):
     after(put_back)
 
 
+def test_a_damaged_file_of_a_fence_keeps_no_parameter(after):
+    after(lambda _, changes: changes.make({"GF_ACTION": 5.0}))
+    (state_folder() / "fake.fence.json").write_text("")
+
+    async def put_back(_: FakeLink, changes: Changes) -> None:
+        with pytest.raises(RecordError, match=r"fake\.fence\.json cannot be read"):
+            await changes.put_back()
+
+    assert after(put_back) == ["GF_ACTION is 3 again, as before it was changed for us"]
+
+
 @pytest.mark.parametrize("text", ["", "[]", '{"GF_ACTION": 3}', '{"GF_ACTION": {"old": "x"}}'])
 def test_a_damaged_file_is_named(after, text):
     state_folder().mkdir(parents=True)
