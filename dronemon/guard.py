@@ -85,7 +85,7 @@ class Reason(StrEnum):
     BLIND = "no picture could be taken and read for too long; the drone returns"
     HORIZON = "the horizon is flown"
     PLANNER_LATE = "the planner gave no waypoint in time"
-    UNSURE = "it may be armed: two heartbeats in a row must say that it is not"
+    UNSURE = "it may be armed: two heartbeats in a row must say that it is not, of one vehicle"
     MOTORS_OFF = "the motors are off"
     LEFT = "a person ended the program while nothing could be commanded"
     LOST_FOR_GOOD = "the link did not come back"
@@ -116,7 +116,8 @@ class Situation:
     before: the state that the pilot or a failsafe broke into.
     may_attach: whether it flies as the flight that goes on may have left it.
     is_sure: whether two heartbeats in a row, none of them older than our last request to arm, say
-    what `is_armed` says; is_offboard needs two as well.
+    what `is_armed` says, and there is one vehicle to say so; is_offboard needs two as well.
+    are_two: whether another vehicle of the same system id is heard.
     is_position_good: whether there is an absolute position.
     is_outside: whether it could not stop within the fence any more, or is too high or too low.
     is_holding, is_coming_down: whether the mode is hold; whether it is return or land.
@@ -134,6 +135,7 @@ class Situation:
     is_armed: bool
     may_attach: bool = False
     is_sure: bool = True
+    are_two: bool = False
     is_on_ground: bool = False
     is_on_ground_long: bool = False
     is_position_good: bool = True
@@ -257,7 +259,8 @@ TABLE = (
     Row(MISSION, _always, None, Action.GO_ON, Reason.GO_ON),
 
     # The way home: who may still be heard?
-    Row(HOMEWARD, lambda s: s.setback in _STUCK and s.times_interrupted >= 3,
+    Row(HOMEWARD, lambda s: s.times_interrupted >= 3
+        and (s.setback in _STUCK or (s.are_two and not s.is_armed)),
         State.ENDED, Action.END, Reason.LEFT),
     Row(HOMEWARD, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
         State.ENDED, Action.END, Reason.LOST_FOR_GOOD),

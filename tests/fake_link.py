@@ -215,6 +215,10 @@ class FakeLink:
         assert self._timer is not None
         self._timer.cancel()
 
+    def hear_another(self) -> None:
+        """Find that two vehicles of one system id are heard."""
+        self._state = replace(self._state, are_two=True)
+
     def _tick(self) -> None:
         vehicle = self.vehicle
         vehicle.step()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -126,6 +127,19 @@ def test_a_drone_of_ours_is_left_armed_only_to_a_person_or_to_silence():
         and situation.state is not State.PREPARING
     }
     assert left == LEFT_ARMED
+
+
+def test_of_two_vehicles_none_is_taken_for_down_and_a_person_may_leave():
+    for situation, _ in _advices():
+        if situation.state in {*HOMEWARD, State.PILOT, State.PATROLLING}:
+            two = replace(situation, is_armed=False, is_sure=False, are_two=True)
+            advice = advise(two)
+            if advice.action is Action.END:
+                assert advice.reason in LEFT_ARMED
+                assert two.times_interrupted >= 2 or two.is_lost_for_long
+            elif two.state in HOMEWARD:
+                assert advice.action is Action.LISTEN
+                assert two.times_interrupted < 3
 
 
 def test_on_the_ground_a_vehicle_of_others_is_not_touched():

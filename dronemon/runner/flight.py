@@ -42,8 +42,8 @@ class FlightResult:
 
     outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`;
     was_taken_home: whether a pilot had control on the way home.
-    has_flown: whether it was armed; is_landed: whether the motors are off for sure; if not,
-    last_seen has the last words.
+    has_flown: whether it was armed; is_landed: whether it is down with its motors off, for sure; if
+    not, last_seen has the last words, or fallen where the motors stopped in the air.
     landing_error_m: distance from where it was armed, None if it did not take off or land, or if
     its position was not good; landing_battery: the level then.
     tally: what the patrol did, before a resume too; None if it never began.
@@ -59,6 +59,7 @@ class FlightResult:
     tally: Tally | None
     error: DronemonError | None
     was_taken_home: bool = False
+    fallen: str | None = None
     is_resumed: bool = False
 
     @property
@@ -66,6 +67,8 @@ class FlightResult:
         """What a person must know in the end: whether the motors may still run."""
         if self.last_seen is not None:
             return self.last_seen.words
+        if self.fallen is not None:
+            return self.fallen
         if not self.has_flown:
             return NOT_STARTED_AGAIN if self.is_resumed else NOT_STARTED
         return DOWN
@@ -117,16 +120,18 @@ class _Flight:
             await self._see_through()
         except Exception as exc:  # noqa: BLE001 - the drone has come home: its story is known
             supervisor.error = supervisor.error or DronemonError(f"after the flight: {exc!r}")
+        is_landed = supervisor.is_down and supervisor.fallen is None
         return FlightResult(
             outcome=supervisor.outcome,
             has_flown=supervisor.was_armed,
-            is_landed=supervisor.is_down,
+            is_landed=is_landed,
             last_seen=None if supervisor.is_down else last_seen(self._link),
-            landing_error_m=self._distance_from_home_m() if supervisor.is_down else None,
-            landing_battery=self._battery.flown_to if supervisor.is_down else None,
+            landing_error_m=self._distance_from_home_m() if is_landed else None,
+            landing_battery=self._battery.flown_to if is_landed else None,
             tally=self._tally(),
             error=supervisor.error,
             was_taken_home=supervisor.was_taken_home,
+            fallen=supervisor.fallen,
             is_resumed=self._history is not None,
         )
 
@@ -246,7 +251,7 @@ class _Flight:
         self._progress("arming")
         await self._link.arm()  # not interruptible: it could arm after nobody waits any more
         self._home_ned_m = self._link.pose.position_ned_m
-        self._supervisor.hear_armed()
+        self._supervisor.hear_armed(self._home_ned_m[2])
         self._events.note("armed", "motors are running", home_ned_m=self._home_ned_m)
         async with self._setup.interrupts.leaving():
             self._progress("taking off")
@@ -261,7 +266,8 @@ class _Flight:
         if history.armed is not None:
             self._home_ned_m = history.armed.home_ned_m
             self._battery.go_on(self._link.time_s - history.armed.time_s)
-        self._supervisor.hear_armed()
+        home = self._home_ned_m
+        self._supervisor.hear_armed(home[2] if home else None)
         await self._link.hold()
         self._events.note("attached", "taken over in the air")
 
@@ -339,7 +345,8 @@ class _Flight:
                     self._events.note("autopilot", said.text, level=said.level)
 
     def _distance_from_home_m(self) -> float | None:
-        if self._home_ned_m is None or not self._link.state.is_position_good:
+        is_told = self._patrol is not None and not self._patrol.has_origin_moved()
+        if self._home_ned_m is None or not is_told or not self._link.state.is_position_good:
             return None
         with contextlib.suppress(VehicleError):  # it has rebooted, and is not heard yet
             return math.dist(self._link.pose.position_ned_m[:2], self._home_ned_m[:2])

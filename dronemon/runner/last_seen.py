@@ -55,6 +55,18 @@ class LastSeen:
         )
 
 
+def fallen(link: VehicleLink, height_m: float) -> str:
+    """The last words on a drone whose motors stopped in the air, so high above its start."""
+    seen = last_seen(link)
+    place = "an unknown place"
+    if seen.latitude_deg is not None:
+        place = f"{seen.latitude_deg:.6f}, {seen.longitude_deg:.6f}"
+    return (
+        f"the motors stopped in the air, {height_m:.0f} m above where they were started: it has "
+        f"fallen, near {place}; stay clear of its propellers, and take its battery out"
+    )
+
+
 def last_seen(link: VehicleLink) -> LastSeen:
     """What the newest telemetry says."""
     state = link.state

@@ -13,10 +13,10 @@ import time
 from functools import partial
 
 from dronemon.arena import ARENA
-from dronemon.errors import PlannerError
+from dronemon.errors import PlannerError, VehicleError
 from dronemon.events import Decided, EventStream, Moved
 from dronemon.fence import Fence
-from dronemon.frames import AreaFrame
+from dronemon.frames import AreaFrame, geo_to_ned
 from dronemon.guard import Action
 from dronemon.guidance import Carrot, Point
 from dronemon.planner import Snapshot, Waypoint
@@ -51,6 +51,7 @@ _STANDING_S = 0.5
 """Ways shorter than at cruise in this time are none."""
 _STUCK_S = 30.0
 """Vehicle time for which the drone may make no way."""
+_ORIGIN_DOUBT_M = 1.0
 _CLIMB_LIMIT_S = 120.0
 _HEIGHT_BAND_M, _HEIGHT_BAND = 2.0, 0.15
 
@@ -82,6 +83,7 @@ class Patrol:
         history = setup.history
         self.tally = history.tally if history else None
         self._observer = Observer(setup, events, frame, battery, self.tally)
+        self._origin = setup.link.state.origin  # of the frame in which all that is laid
         self._horizon_m = self._mission.horizon_au * frame.side_m
         self._num_pictures = self._mission.num_pictures
         self._down_m = frame.ground_down_m - self._mission.flight.altitude_m
@@ -169,6 +171,8 @@ class Patrol:
             duration_s = pose.time_s - self._last_setpoint_s
             if duration_s < SETPOINT_INTERVAL_S:
                 continue
+            if self.has_origin_moved():
+                raise VehicleError("the origin of its local frame moved: the area lies elsewhere")
             advice = self._supervisor.ask(
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
@@ -192,6 +196,13 @@ class Patrol:
             self._ask_for_waypoint(pose)
             self._ask_for_picture(pose)
             self._supervisor.report("patrol" if self.tally else "to the start")
+
+    def has_origin_moved(self) -> bool:
+        """Whether the vehicle's local frame lies elsewhere than when the area was laid."""
+        then, now = self._origin, self._link.state.origin
+        if then is None or now is None or now == then:
+            return False
+        return math.hypot(*geo_to_ned(now, then)[:2]) > _ORIGIN_DOUBT_M
 
     def _setpoint(
         self, position_m: Point, velocity_m_s: Point = _STILL, acceleration_m_s2: Point = _STILL

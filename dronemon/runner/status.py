@@ -107,7 +107,7 @@ def _of_the_living(folder: RunFolder, events: Iterable[dict[str, Any]]) -> list[
     """Events of the program that flies a run, without those of programs that flew it before."""
     resumed = folder.summary().get("resumed")
     since = datetime.fromisoformat(resumed[-1] if resumed else "0001-01-01T00:00:00+00:00")
-    return [event for event in events if datetime.fromisoformat(event["wall"]) >= since]
+    return [event for event in events if datetime.fromisoformat(event["wall"]) > since]
 
 
 def _doing(events: Sequence[Mapping[str, Any]]) -> str:

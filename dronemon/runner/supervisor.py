@@ -34,8 +34,9 @@ from dronemon.guard import (
 )
 from dronemon.runner.battery import Battery
 from dronemon.runner.interrupts import Interrupted, Interrupts
+from dronemon.runner.last_seen import fallen
 from dronemon.runner.telling import Telling
-from dronemon.vehicle import UNFLOWN, Landed, Mode, Setpoint, VehicleLink
+from dronemon.vehicle import AIRBORNE, UNFLOWN, Landed, Mode, Setpoint, VehicleLink
 
 REPORT_INTERVAL_S = 1.0
 """Vehicle time between two lines of progress."""
@@ -52,6 +53,8 @@ FAILSAFE_HOLD_LIMIT_S = 8.0
 """Vehicle time of a failsafe's hold: PX4 acts after COM_FAIL_ACT_T, 5 s by default."""
 DISARM_LIMIT_S = 5.0
 """Vehicle time on the ground after which we disarm; PX4 does after COM_DISARM_LAND, 2 s."""
+_FALLEN_M, _FALLEN_WITHIN_S = 5.0, 5.0
+"""Motors that are off so soon after they ran so high, with no landing between, stopped there."""
 _RETRY_S = 0.5
 _OUTCOMES = {
     Reason.HORIZON: "completed",
@@ -74,6 +77,7 @@ class Supervisor:
     went wrong first, also if the drone came home after it.
     was_armed: whether we armed it; is_down: whether the motors are off for sure.
     was_taken_home: whether a pilot had control on the way home.
+    fallen: the last words on a drone whose motors stopped in the air.
     """
 
     def __init__(
@@ -103,6 +107,9 @@ class Supervisor:
         self._time_s = 0.0  # vehicle time
         self._off_ground_s = self._failsafe_s = -math.inf
         self._was_position_lost = self._has_land_worked = False
+        self.fallen: str | None = None
+        self._ground_down_m: float | None = None  # where we armed it
+        self._up: tuple[float, float] | None = None  # when and how high it was with motors running
         self._sure_at = 0  # number of the heartbeat from which "disarmed" is believed
         self._offboard_since: int | None = None  # number of the heartbeat that showed it first
         self._heard_at = math.inf
@@ -218,9 +225,9 @@ class Supervisor:
         self._setback = Setback.LINK_LOST if self._is_silent else Setback.NONE
         return advice
 
-    def hear_armed(self) -> None:
-        """We armed it: from now on it is ours."""
-        self.was_armed = True
+    def hear_armed(self, ground_down_m: float | None) -> None:
+        """We armed it, standing at this height: from now on it is ours."""
+        self.was_armed, self._ground_down_m = True, ground_down_m
 
     def _keep_track(self) -> None:
         """Keep what the newest state alone does not tell: since when something has been so."""
@@ -229,17 +236,26 @@ class Supervisor:
             self._time_s = self._link.time_s
         now_s = self._time_s
         if state.is_armed:
-            self._sure_at = number + 2
-            if self.state is not State.PREPARING:
-                self.hear_armed()
+            self.was_armed |= self.state is not State.PREPARING
+            if not state.is_doubted:
+                self._sure_at, self._up = number + 2, self._height()
         if state.landed is not Landed.ON_GROUND:
             self._off_ground_s = now_s
         self._was_position_lost |= not state.is_position_good
-        if state.mode is not Mode.OFFBOARD:
+        if state.mode is not Mode.OFFBOARD or state.is_doubted:
             self._offboard_since = None
         elif self._offboard_since is None:
             self._offboard_since = number
         self._battery.take()
+
+    def _height(self) -> tuple[float, float] | None:
+        """Vehicle time, and height above where it was armed; None unless it is in the air."""
+        if self._ground_down_m is None or self._link.state.landed not in AIRBORNE:
+            return None
+        return self._time_s, self._ground_down_m - self._link.pose.position_ned_m[2]
+
+    def _is_sure(self) -> bool:
+        return self._link.num_heartbeats >= self._sure_at and not self._link.state.are_two
 
     def _situation(self, patrol: PatrolFacts) -> Situation:
         self._keep_track()
@@ -251,7 +267,8 @@ class Supervisor:
             setback=self._setback,
             is_armed=state.is_armed,
             may_attach=self._is_resumed and not is_on_ground and state.mode in UNFLOWN,
-            is_sure=number >= self._sure_at,
+            is_sure=self._is_sure(),
+            are_two=state.are_two,
             is_on_ground=is_on_ground,
             is_on_ground_long=is_on_ground and now_s > self._off_ground_s + DISARM_LIMIT_S,
             is_position_good=state.is_position_good,
@@ -335,9 +352,19 @@ class Supervisor:
         if reason in {Reason.LOST_FOR_GOOD, Reason.LEFT}:
             self.error = self.error or self._problem
         is_heard = reason not in {Reason.LOST_FOR_GOOD, Reason.LEFT}
-        self.is_down = is_heard and not self._link.state.is_armed
+        is_sure = self._is_sure() or not self.was_armed
+        self.is_down = is_heard and is_sure and not self._link.state.is_armed
         if self.is_down and self.was_armed:
-            self._events.note("disarmed", str(reason))
+            self._see_fallen()
+            self._events.note("disarmed", self.fallen or str(reason))
+
+    def _see_fallen(self) -> None:
+        """Find out whether the motors stopped in the air, as by a kill switch."""
+        then_s, height_m = self._up or (-math.inf, 0.0)
+        if height_m <= _FALLEN_M or self._time_s > then_s + _FALLEN_WITHIN_S:
+            return
+        self.fallen = fallen(self._link, height_m)
+        self._leave_mission("failed", self.error or VehicleError(self.fallen))
 
     # Doing
 

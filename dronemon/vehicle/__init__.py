@@ -1,6 +1,7 @@
 """The vehicle: what the mission needs of it, and MAVSDK behind that."""
 
 from dronemon.vehicle.link import (
+    AIRBORNE,
     UNFLOWN,
     Landed,
     Mode,
@@ -11,6 +12,7 @@ from dronemon.vehicle.link import (
 )
 
 __all__ = [
+    "AIRBORNE",
     "UNFLOWN",
     "Landed",
     "Mode",

@@ -59,6 +59,9 @@ class Landed(StrEnum):
     LANDING = "landing"
 
 
+AIRBORNE = frozenset({Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING})
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
     """Everything slow that telemetry says; the pose comes apart, it is fast.
@@ -69,6 +72,10 @@ class VehicleState:
     mode: Mode = Mode.OTHER
     is_armed: bool = False
     is_failsafe: bool = False
+    is_doubted: bool = False
+    """Whether the newest heartbeat says otherwise, and is believed only with a second one."""
+    are_two: bool = False
+    """Whether another vehicle of the same system id is heard: all that is known may be its own."""
     is_armable: bool = False
     """Whether the arming checks pass."""
     is_position_good: bool = False

@@ -20,7 +20,7 @@ from dronemon.errors import (
 from dronemon.types import Pose
 from dronemon.vehicle.fence_items import FenceItem
 from dronemon.vehicle.hearing import Hearing
-from dronemon.vehicle.link import BY_STICKS, Landed, Mode, Setpoint, StatusText, VehicleState
+from dronemon.vehicle.link import AIRBORNE, BY_STICKS, Mode, Setpoint, StatusText, VehicleState
 from dronemon.vehicle.px4 import RUN_CHECKS, Command
 from dronemon.vehicle.readiness import problems
 from dronemon.vehicle.wire import Wire
@@ -49,7 +49,6 @@ a simulator that runs faster come in bursts, and a burst is no pause of ours."""
 _TEXTS_COME_S = 1.2
 _CLIMB_M, _CLIMB_WITHIN_S = 1.0, 20.0
 _WORDS = 4
-_UP = (Landed.TAKING_OFF, Landed.IN_AIR)
 
 
 class MavsdkLink:
@@ -237,6 +236,8 @@ class MavsdkLink:
 
     async def _change_mode(self, mode: Mode) -> None:
         """Ask for a mode and wait for the heartbeat that shows it; a pilot's choice wins."""
+        if self.state.is_doubted:  # it may be the pilot's
+            await self.next_heartbeat()
         self._modes.check(self.state)
         self._modes.expect_also(mode, self.state.mode)
         await self._confirm(f"mode '{mode}'", Command.choose(mode), lambda: self.state.mode is mode)
@@ -272,7 +273,7 @@ class MavsdkLink:
             await self._confirm(
                 "take-off",
                 command,
-                lambda: self.state.mode is Mode.TAKEOFF or self.state.landed in _UP,
+                lambda: self.state.mode is Mode.TAKEOFF or self.state.landed in AIRBORNE,
             )
             self._modes.expect(Mode.TAKEOFF, Mode.HOLD)
             await self._climb(start_down_m, height_m, num_texts)

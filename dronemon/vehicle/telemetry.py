@@ -49,6 +49,7 @@ _ESTIMATE_ERRORS = {
 }
 _TRUSTED_S = 10.0
 _STALE_POSITION_S = 0.5
+_FUTURE_S = 1.0
 _POSES_KEPT = 512
 _FURTHEST_M, _FASTEST_M_S, _WIDEST_RAD = 1e6, 1e3, 4.0 * math.pi
 _JUMP_M, _JUMP_RATIO, _JUMP_WITHIN_S = 2.0, 3.0, 1.0
@@ -71,7 +72,7 @@ class Telemetry:
         self._stamps: dict[str, int] = {}  # the newest by message, ATTITUDE apart
         self._heard_s: dict[str, float] = {}
         self._left_s: dict[_Status, float] = {}  # when heartbeats said something for the last time
-        self._doubted: _Status | None = None
+        self._doubted: _Status | None = None  # what the newest heartbeat says against the state
         self._poses: deque[Pose] = deque(maxlen=_POSES_KEPT)
         self._position: tuple[float, Vector3, Vector3] | None = None
         self._num_jumps = 0  # told with the first pose after each
@@ -175,27 +176,33 @@ class Telemetry:
     def _on_heartbeat(self, fields: dict[str, Any]) -> None:
         """Take mode and armed state.
 
-        Heartbeats have no stamp, and one that comes late says what was: a state that was left
-        within the last seconds is believed again only when two in a row say it.
+        Heartbeats have no stamp, one that comes late says what was, and one may be another's: a
+        state that was left within the last seconds, and motors that stop, are believed only when
+        two in a row say so. Armed in termination, or killed, it flies no mode any more.
         """
         if fields["autopilot"] != mavlink.MAV_AUTOPILOT_PX4 or fields["type"] not in ROTORCRAFT:
             raise ValueError("not the autopilot's")
+        mode = mode_of(_whole(fields["custom_mode"], 0, 2**32 - 1))
+        is_armed = bool(_whole(fields["base_mode"], 0, 255) & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        standing = _whole(fields["system_status"], 0, 8)
+        is_over = is_armed and standing == mavlink.MAV_STATE_FLIGHT_TERMINATION
         status = (
-            mode_of(_whole(fields["custom_mode"], 0, 2**32 - 1)),
-            bool(_whole(fields["base_mode"], 0, 255) & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
-            _whole(fields["system_status"], 0, 8) == mavlink.MAV_STATE_CRITICAL,
+            Mode.TERMINATION if is_over else mode,
+            is_armed,
+            is_over or standing == mavlink.MAV_STATE_CRITICAL,
         )
         state, doubted, self._doubted = self._state, self._doubted, None
         self.num_heartbeats += 1
         before = (state.mode, state.is_armed, state.is_failsafe)
-        if status == before:
-            return
-        was_left_s = self._left_s.get(status, -math.inf)
-        if self.time_s - was_left_s < LATE_MS / 1000.0 and doubted != status:
+        is_stop = state.is_armed and not is_armed
+        is_stop_said = is_stop and doubted is not None and not doubted[1]
+        is_left = self.time_s - self._left_s.get(status, -math.inf) < LATE_MS / 1000.0
+        if status != before and (is_stop or is_left) and status != doubted and not is_stop_said:
             self._doubted = status
-            return
-        self._left_s[before] = self.time_s
-        self._update(mode=status[0], is_armed=status[1], is_failsafe=status[2])
+        elif status != before:
+            self._left_s[before] = self.time_s
+            self._update(mode=status[0], is_armed=is_armed, is_failsafe=status[2])
+        self._update(is_doubted=self._doubted is not None)
 
     def _on_local_position(self, fields: dict[str, Any]) -> None:
         position = _vector(fields, ("x", "y", "z"), _FURTHEST_M)
@@ -209,6 +216,8 @@ class Telemetry:
         attitude_rad = _vector(fields, ("roll", "pitch", "yaw"), _WIDEST_RAD)
         num_reboots = self._clock.num_reboots
         time_s = self._clock.take(fields["time_boot_ms"], attitude_rad)
+        if self._clock.are_two and not self._state.are_two:
+            self._update(are_two=True)
         if self._clock.num_reboots != num_reboots:
             self._position = None
             self._poses.clear()
@@ -219,6 +228,10 @@ class Telemetry:
             return
         # Positions come at a third of the attitude's rate: carry the newest one along its velocity.
         position_time_s, (north, east, down), velocity = self._position
+        if position_time_s > time_s + _FUTURE_S:  # wrongly stamped: true ones would seem late
+            self._position = None
+            del self._stamps["LOCAL_POSITION_NED"]
+            return
         ahead_s = max(time_s - position_time_s, 0.0)
         if ahead_s > _STALE_POSITION_S:
             return  # no pose is better than an old place with a new time

@@ -22,11 +22,12 @@ class VehicleClock:
     another clock's: it is believed once it has gone on for a second while the one before stayed
     away, as after a reboot or a long silence. Two that go on side by side are two vehicles'.
 
-    num_reboots: how often time began anew.
+    num_reboots: how often time began anew; are_two: whether two vehicles were found.
     """
 
     def __init__(self) -> None:
         self.num_reboots = 0
+        self.are_two = False
         self._problem: str | None = None
         self._newest_ms: int | None = None  # unwrapped
         self._other: tuple[int, int] | None = None  # first and newest stamp of another clock
@@ -110,6 +111,7 @@ class VehicleClock:
 
     def _doubt(self) -> None:
         self._forget()
+        self.are_two = True
         self._problem = (
             "two vehicles of one system id are heard, their clocks alternate; give each an id "
             "(PX4's MAV_SYS_ID) or a port of its own"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from fake_link import FakeLink
 from flights import (
@@ -260,3 +262,43 @@ def test_a_flight_that_a_pilot_lands_on_its_way_home_is_the_pilots(flight):
     result = flight.fly("battery=0.18@12")
     assert Reason.BATTERY_LOW in flight.reasons
     assert (result.outcome, result.is_landed) == ("pilot", True)
+
+
+@pytest.mark.parametrize("moment", ["patrol", "homecoming"])
+def test_motors_that_stop_in_the_air_are_no_landing(flight, moment):
+    def kill() -> None:
+        flight.link.vehicle.is_armed = False
+
+    flight.when(moment, lambda: flight.later(1.0, kill))
+    result = flight.fly()
+    assert (result.outcome, result.is_landed, result.landing_error_m) == ("failed", False, None)
+    assert "the motors stopped in the air, 22 m above" in result.last_word
+    assert "47." in result.last_word
+    assert isinstance(result.error, VehicleError)
+    assert flight.record.text("disarmed") == result.last_word
+
+
+def test_of_two_vehicles_of_one_id_none_is_told_as_down(flight):
+    def mix() -> None:
+        flight.link.hear_another()
+        flight.link.vehicle.is_armed = False
+        flight.later(60.0, lambda: flight.ask(3))
+
+    flight.when("homecoming", lambda: flight.later(1.0, mix))
+    result = flight.fly()
+    assert not result.is_landed
+    assert "the motors may be running" in result.last_word
+    assert Reason.UNSURE in flight.reasons
+    assert flight.record.kinds.count("disarmed") == 0
+
+
+def test_a_local_frame_that_moves_ends_the_patrol(flight):
+    def move() -> None:
+        origin = flight.link.origin
+        flight.link.origin = replace(origin, latitude_deg=origin.latitude_deg + 25e-5)
+
+    flight.when("patrol", lambda: flight.later(2.0, move))
+    result = flight.fly()
+    assert "the origin of its local frame moved" in str(result.error)
+    assert (result.is_landed, result.landing_error_m) == (True, None)
+    assert "return" in flight.commands

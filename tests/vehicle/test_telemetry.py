@@ -43,10 +43,39 @@ def test_heartbeat_says_mode_and_arming(custom_mode, mode):
     assert telemetry.state.mode is mode
     assert telemetry.state.is_armed
     assert not telemetry.state.is_failsafe
-    beat(telemetry, base_mode=0, system_status=5)
-    assert not telemetry.state.is_armed
+    beat(telemetry, system_status=5)
     assert telemetry.state.is_failsafe
-    assert telemetry.num_heartbeats == 2
+    beat(telemetry, base_mode=0, system_status=5)
+    assert (telemetry.state.is_armed, telemetry.state.is_doubted) == (True, True)
+    beat(telemetry, base_mode=0)  # a mode may go with the motors
+    assert (telemetry.state.is_armed, telemetry.state.is_doubted) == (False, False)
+    assert telemetry.num_heartbeats == 4
+
+
+@pytest.mark.parametrize("beats", [(DISARMED, {}), (DISARMED, {}, DISARMED, {}, DISARMED, {})])
+def test_one_heartbeat_stops_no_motors(beats):
+    telemetry = posed(100.0)
+    beat(telemetry)
+    for fields in beats:
+        beat(telemetry, **fields)
+        assert telemetry.state.is_armed
+        assert telemetry.state.is_doubted is (fields is DISARMED)
+
+
+def test_killed_or_terminated_it_flies_no_mode():
+    telemetry = Telemetry()
+    beat(telemetry, system_status=8)
+    assert (telemetry.state.mode, telemetry.state.is_failsafe) == (Mode.TERMINATION, True)
+    assert telemetry.state.is_armed
+
+
+def test_a_place_from_the_future_does_not_stay():
+    telemetry = posed(100.0)
+    telemetry.take("LOCAL_POSITION_NED", position(109.0))
+    pose(telemetry, 100.1)
+    pose(telemetry, 100.2)
+    assert telemetry.time_s == 100.2
+    assert telemetry.state.num_unreadable == 0
 
 
 @pytest.mark.parametrize(
@@ -80,12 +109,16 @@ def test_heartbeats_that_are_repeated_late_change_nothing():
 
 def test_a_state_that_comes_back_soon_is_believed_at_its_second_heartbeat():
     telemetry = posed(100.0)
+    beat(telemetry, custom_mode=4 << 16 | 3 << 24)
+    beat(telemetry, custom_mode=6 << 16)
+    beat(telemetry, custom_mode=4 << 16 | 3 << 24)
+    assert (telemetry.state.mode, telemetry.state.is_doubted) == (Mode.OFFBOARD, True)
+    beat(telemetry, custom_mode=4 << 16 | 3 << 24)
+    assert (telemetry.state.mode, telemetry.state.is_doubted) == (Mode.HOLD, False)
     beat(telemetry, **DISARMED)
+    beat(telemetry, **DISARMED)
+    assert not telemetry.state.is_armed
     beat(telemetry)
-    assert telemetry.state.is_armed
-    beat(telemetry, **DISARMED)
-    assert telemetry.state.is_armed
-    beat(telemetry, **DISARMED)
     assert not telemetry.state.is_armed
     pose(telemetry, 110.0)
     beat(telemetry)
