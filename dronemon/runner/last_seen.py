@@ -16,6 +16,7 @@ _WHAT_COMES = {
     Mode.LAND: "it lands where it is",
     Mode.HOLD: "it stays there until its battery's failsafe acts",
     Mode.TAKEOFF: "it climbs and then stays there until its battery's failsafe acts",
+    Mode.TERMINATION: "its autopilot has stopped the motors for good: it falls, or has fallen",
     Mode.OFFBOARD: "without setpoints its failsafe acts within seconds: by default it flies home",
 }
 FIRST_WORDS = "the motors may be running"
@@ -78,7 +79,7 @@ def last_seen(link: VehicleLink) -> LastSeen:
             latitude_deg, longitude_deg = place.latitude_deg, place.longitude_deg
     except VehicleError:
         pass  # no pose was ever heard
-    is_failsafe = state.is_failsafe and state.mode not in {Mode.RETURN, Mode.LAND}
+    is_telling = state.mode in {Mode.RETURN, Mode.LAND, Mode.TERMINATION}
     heard_at = datetime.now(UTC) - timedelta(seconds=link.heartbeat_age_s)
     return LastSeen(
         heard_at=heard_at.isoformat(timespec="seconds"),
@@ -87,5 +88,7 @@ def last_seen(link: VehicleLink) -> LastSeen:
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         down_m=down_m,
-        what_comes=_FAILSAFE if is_failsafe else _WHAT_COMES.get(state.mode, _PILOTS),
+        what_comes=_FAILSAFE
+        if state.is_failsafe and not is_telling
+        else _WHAT_COMES.get(state.mode, _PILOTS),
     )

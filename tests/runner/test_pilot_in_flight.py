@@ -278,6 +278,18 @@ def test_motors_that_stop_in_the_air_are_no_landing(flight, moment):
     assert flight.record.text("disarmed") == result.last_word
 
 
+def test_a_terminated_flight_is_no_failsafe_that_flies_home(flight):
+    def terminate() -> None:
+        flight.link.vehicle.failsafe = Mode.TERMINATION
+        flight.later(30.0, lambda: flight.ask(2))
+
+    flight.when("patrol", lambda: flight.later(1.0, terminate))
+    result = flight.fly()
+    assert not result.is_landed
+    assert "has stopped the motors for good" in result.last_word
+    assert not {"return", "land", "disarm"} & set(flight.link.commands)
+
+
 def test_of_two_vehicles_of_one_id_none_is_told_as_down(flight):
     def mix() -> None:
         flight.link.hear_another()
