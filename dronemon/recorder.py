@@ -75,8 +75,12 @@ class RunRecorder:
         self._names = tuple(names)
         self._head: dict[str, object] = {"started": _stamp("seconds"), "targets": self._names}
         if before is not None:
-            resumed = [*before.get("resumed", ()), _stamp("milliseconds")]
-            self._head |= {"started": before.get("started"), "resumed": resumed}
+            resumed = [*before.get("resumed", ()), _stamp("seconds")]
+            self._head |= {
+                "started": before.get("started"),
+                "resumed": resumed,
+                "events_before": sum(1 for _ in folder.events()),
+            }
         self._lock = (folder.path / MISSION_FILE).open("rb")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -186,7 +190,7 @@ class RunRecorder:
     def discard(self) -> None:
         """Remove a run in which nothing happened; the folder too if it was made for it alone.
 
-        One that was to go on is as it was.
+        The summary of one that was to go on is as it was.
         """
         if self._before is not None:
             replace_text(self.folder.path / SUMMARY_FILE, _json_text(self._before))

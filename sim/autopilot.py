@@ -307,9 +307,9 @@ class Autopilot:
             self._yaw_rad += self.setpoint.yaw_rate_rad_s * STEP_S
 
     def _detect_landing(self) -> None:
-        """Landed after a while on the ground, pushed down or without thrust."""
+        """Landed after a while on the ground, pushed down or without thrust; disarmed anywhere."""
         pushes_up = self.body.thrust_m_s2 > _LANDING_THRUST_M_S2
-        if not self.body.is_on_ground or (pushes_up and self.commander.is_armed):
+        if self.commander.is_armed and (pushes_up or not self.body.is_on_ground):
             self._down_since_s = self.time_s
         elif self.time_s - self._down_since_s >= _LANDED_AFTER_S:
             self.is_landed = True

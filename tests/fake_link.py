@@ -29,6 +29,7 @@ from dronemon.mission.faults import parse_fault
 from dronemon.types import GpsFix, Picture, Pose, Vector3
 from dronemon.vehicle import Landed, Mode, Setpoint, StatusText, VehicleState
 from dronemon.vehicle.fence_items import FenceItem
+from dronemon.vehicle.motor_watch import MotorWatch
 from sim.faults import FaultSchedule
 from sim.parameters import TABLE as PARAMETERS
 
@@ -37,7 +38,7 @@ ORIGIN = GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0)
 _ATTEMPTS = 3
 _SETPOINT_LIMIT_S, _FAILSAFE_HOLD_S = 1.0, 5.0
 _DISARM_AFTER_S = 2.0
-_SPEED_M_S, _CLIMB_M_S = 20.0, 3.0
+_SPEED_M_S, _CLIMB_M_S, _FALL_M_S = 20.0, 3.0, 15.0
 
 
 class FakeVehicle:
@@ -67,6 +68,7 @@ class FakeVehicle:
         self.height_error_m = 0.0
         self.attitude_rad: Vector3 = (0.0, 0.0, 0.0)
         self.climb_m_s = self.speed_m_s = _SPEED_M_S
+        self.fall_m_s = _FALL_M_S  # disarmed
         self.drift_m_s = 0.0
         self.parameters = {p.name: float(p.default) for p in PARAMETERS}
         self.parameters |= {"COM_OBL_RC_ACT": 3.0, "COM_RC_OVERRIDE": 3.0, "GF_ACTION": 3.0}
@@ -110,6 +112,8 @@ class FakeVehicle:
         before = list(self.position)
         if self.is_armed:
             self._fly()
+        else:
+            self._move(2, 0.0, self.fall_m_s)
         self.velocity = [(b - a) / STEP_S for a, b in zip(before, self.position, strict=True)]
         self._has_flown = self.is_armed and (self._has_flown or not self.is_on_ground)
         if not (self.is_on_ground and self._has_flown):
@@ -169,6 +173,7 @@ class FakeLink:
         self.hardware, self.origin = "fake", ORIGIN
         self._misled: dict[str, Any] = {}
         self._state = VehicleState()
+        self._motors = MotorWatch()
         self._poses: list[Pose] = []
         self._given_s = -math.inf
         self._expected: frozenset[Mode] | None = None
@@ -239,6 +244,13 @@ class FakeLink:
                 "is_armed": vehicle.is_armed,
                 "is_failsafe": vehicle.is_failsafe,
             }
+            self._motors.take(
+                is_running=vehicle.is_armed and vehicle.mode is not Mode.TERMINATION,
+                landed=self._state.landed,
+                pose=self._poses[-1] if self._poses else None,
+                time_s=vehicle.time_s,
+            )
+            said["stopped_at"] = self._motors.stopped_at
             self._state = replace(self._state, **(said | self._misled))
             self._misled = {}
         self._state = replace(
@@ -247,7 +259,10 @@ class FakeLink:
             is_position_good=vehicle.is_position_good,
             is_estimate_heard=vehicle.is_estimate_heard,
             num_resets=self.num_resets,
-            landed=Landed.ON_GROUND if vehicle.is_on_ground else Landed.IN_AIR,
+            # As PX4 has it: whatever is disarmed has landed.
+            landed=Landed.IN_AIR
+            if vehicle.is_armed and not vehicle.is_on_ground
+            else Landed.ON_GROUND,
             battery=vehicle.battery,
             estimate_doubts=(),
             has_sticks=vehicle.has_sticks,

@@ -39,8 +39,9 @@ class Explanation:
     pointer:  (k,)           the policy: probability of each neighbour, of which the first of the
                              greatest is chosen in flight
 
-    N may be 0, while nothing is known of any target. None: the network has none; `ages_au` and
-    `temporal` with an LSTM in place of the temporal encoder, `targets` and `tracks` without tracks.
+    While nothing is known of any target, N is 1: an imagined one. None: the network has none;
+    `ages_au` and `temporal` with an LSTM in place of the temporal encoder, `targets` and `tracks`
+    without tracks.
     """
 
     nodes: IntArray

@@ -251,7 +251,7 @@ class _Flight:
         self._progress("arming")
         await self._link.arm()  # not interruptible: it could arm after nobody waits any more
         self._home_ned_m = self._link.pose.position_ned_m
-        self._supervisor.hear_armed(self._home_ned_m[2])
+        self._supervisor.hear_armed()
         self._events.note("armed", "motors are running", home_ned_m=self._home_ned_m)
         async with self._setup.interrupts.leaving():
             self._progress("taking off")
@@ -266,8 +266,7 @@ class _Flight:
         if history.armed is not None:
             self._home_ned_m = history.armed.home_ned_m
             self._battery.go_on(self._link.time_s - history.armed.time_s)
-        home = self._home_ned_m
-        self._supervisor.hear_armed(home[2] if home else None)
+        self._supervisor.hear_armed()
         await self._link.hold()
         self._events.note("attached", "taken over in the air")
 

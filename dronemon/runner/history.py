@@ -24,7 +24,7 @@ from dronemon.types import FloatArray, Measurement, Vector3
 
 GOING_ON = "resuming"
 """Kind of the first event of every flight but a run's first: the vehicle's clock may be another."""
-_CLOCK_DOUBT_S, _ORIGIN_DOUBT_M = 5.0, 1.0
+_CLOCK_DOUBT_S, ORIGIN_DOUBT_M = 5.0, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +41,7 @@ class Laid:
     def holds_with(self, origin: GeoPoint) -> bool:
         """Whether the local frame of then is that of this origin."""
         here_m = geo_to_ned(self.centre, origin)[:2]
-        return math.dist(here_m, self.frame.centre_ned_m) < _ORIGIN_DOUBT_M
+        return math.dist(here_m, self.frame.centre_ned_m) < ORIGIN_DOUBT_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

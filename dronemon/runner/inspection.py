@@ -31,7 +31,7 @@ from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, try_detector
 from dronemon.runner.supervisor import FAILSAFE_HOLD_LIMIT_S
 from dronemon.types import Picture
-from dronemon.vehicle import Landed, VehicleLink, VehicleState
+from dronemon.vehicle import AIRBORNE, VehicleLink, VehicleState
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import areas_of
 
@@ -198,13 +198,14 @@ async def inspect_vehicle(
     detector = await _problem(tried)
     unready = await _problem(link.wait_ready(mission.vehicle.ready_timeout_s))
     await link.next_heartbeat()  # a fresh state
-    if link.state.is_armed or link.state.landed is not Landed.ON_GROUND:
-        unready = str(Reason.NOT_OURS)
+    is_flown = link.state.is_armed or link.state.landed in AIRBORNE
+    unready = str(Reason.NOT_OURS) if is_flown else unready
     async with contextlib.AsyncExitStack() as stack:
         changes = stack.enter_context(Changes(link, tell))
-        await changes.put_back()
-        stack.push_async_callback(changes.put_back)
-        await changes.make(setup.settings)
+        if not is_flown:
+            await changes.put_back()
+            stack.push_async_callback(changes.put_back)
+            await changes.make(setup.settings)
         sight: Sight | CameraError
         try:
             await stack.enter_async_context(setup.camera)

@@ -43,28 +43,28 @@ class LastSeen:
     what_comes: str
 
     @property
+    def place(self) -> str:
+        """Where, in words."""
+        if self.latitude_deg is None:
+            return "at an unknown place"
+        return f"at {self.latitude_deg:.6f}, {self.longitude_deg:.6f}"
+
+    @property
     def words(self) -> str:
         """All of it, and what a person should do."""
-        place = "at an unknown place"
-        if self.latitude_deg is not None:
-            place = f"at {self.latitude_deg:.6f}, {self.longitude_deg:.6f}"
         armed = "armed" if self.is_armed else "disarmed, which may be wrong by now"
         return (
-            f"{FIRST_WORDS}: heard last at {self.heard_at} {place}, {armed}, in mode "
+            f"{FIRST_WORDS}: heard last at {self.heard_at} {self.place}, {armed}, in mode "
             f"'{self.mode}'; {self.what_comes}; keep people away, take it over by remote control "
             "or a ground station, and see that it lands and disarms"
         )
 
 
 def fallen(link: VehicleLink, height_m: float) -> str:
-    """The last words on a drone whose motors stopped in the air, so high above its start."""
-    seen = last_seen(link)
-    place = "an unknown place"
-    if seen.latitude_deg is not None:
-        place = f"{seen.latitude_deg:.6f}, {seen.longitude_deg:.6f}"
+    """The last words on a drone whose motors stopped in the air, and that has lost so much."""
     return (
-        f"the motors stopped in the air, {height_m:.0f} m above where they were started: it has "
-        f"fallen, near {place}; stay clear of its propellers, and take its battery out"
+        f"the motors stopped in the air: it has fallen {height_m:.0f} m or more; heard last "
+        f"{last_seen(link).place}; stay clear of its propellers, and take its battery out"
     )
 
 

@@ -26,6 +26,7 @@ from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.history import ORIGIN_DOUBT_M
 from dronemon.runner.observer import Observer
 from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
@@ -51,7 +52,6 @@ _STANDING_S = 0.5
 """Ways shorter than at cruise in this time are none."""
 _STUCK_S = 30.0
 """Vehicle time for which the drone may make no way."""
-_ORIGIN_DOUBT_M = 1.0
 _CLIMB_LIMIT_S = 120.0
 _HEIGHT_BAND_M, _HEIGHT_BAND = 2.0, 0.15
 
@@ -202,7 +202,7 @@ class Patrol:
         then, now = self._origin, self._link.state.origin
         if then is None or now is None or now == then:
             return False
-        return math.hypot(*geo_to_ned(now, then)[:2]) > _ORIGIN_DOUBT_M
+        return math.hypot(*geo_to_ned(now, then)[:2]) > ORIGIN_DOUBT_M
 
     def _setpoint(
         self, position_m: Point, velocity_m_s: Point = _STILL, acceleration_m_s2: Point = _STILL

@@ -105,9 +105,7 @@ def _program(folder: RunFolder) -> str:
 
 def _of_the_living(folder: RunFolder, events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Events of the program that flies a run, without those of programs that flew it before."""
-    resumed = folder.summary().get("resumed")
-    since = datetime.fromisoformat(resumed[-1] if resumed else "0001-01-01T00:00:00+00:00")
-    return [event for event in events if datetime.fromisoformat(event["wall"]) > since]
+    return list(events)[folder.summary().get("events_before", 0) :]
 
 
 def _doing(events: Sequence[Mapping[str, Any]]) -> str:

@@ -36,7 +36,7 @@ from dronemon.runner.battery import Battery
 from dronemon.runner.interrupts import Interrupted, Interrupts
 from dronemon.runner.last_seen import fallen
 from dronemon.runner.telling import Telling
-from dronemon.vehicle import AIRBORNE, UNFLOWN, Landed, Mode, Setpoint, VehicleLink
+from dronemon.vehicle import UNFLOWN, Landed, Mode, Setpoint, VehicleLink
 
 REPORT_INTERVAL_S = 1.0
 """Vehicle time between two lines of progress."""
@@ -53,8 +53,8 @@ FAILSAFE_HOLD_LIMIT_S = 8.0
 """Vehicle time of a failsafe's hold: PX4 acts after COM_FAIL_ACT_T, 5 s by default."""
 DISARM_LIMIT_S = 5.0
 """Vehicle time on the ground after which we disarm; PX4 does after COM_DISARM_LAND, 2 s."""
-_FALLEN_M, _FALLEN_WITHIN_S = 5.0, 5.0
-"""Motors that are off so soon after they ran so high, with no landing between, stopped there."""
+_FALLEN_M = 5.0
+"""More than a drone sinks between two heartbeats as it lands."""
 _RETRY_S = 0.5
 _OUTCOMES = {
     Reason.HORIZON: "completed",
@@ -108,8 +108,6 @@ class Supervisor:
         self._off_ground_s = self._failsafe_s = -math.inf
         self._was_position_lost = self._has_land_worked = False
         self.fallen: str | None = None
-        self._ground_down_m: float | None = None  # where we armed it
-        self._up: tuple[float, float] | None = None  # when and how high it was with motors running
         self._sure_at = 0  # number of the heartbeat from which "disarmed" is believed
         self._offboard_since: int | None = None  # number of the heartbeat that showed it first
         self._heard_at = math.inf
@@ -225,9 +223,9 @@ class Supervisor:
         self._setback = Setback.LINK_LOST if self._is_silent else Setback.NONE
         return advice
 
-    def hear_armed(self, ground_down_m: float | None) -> None:
-        """We armed it, standing at this height: from now on it is ours."""
-        self.was_armed, self._ground_down_m = True, ground_down_m
+    def hear_armed(self) -> None:
+        """We armed it: from now on it is ours."""
+        self.was_armed = True
 
     def _keep_track(self) -> None:
         """Keep what the newest state alone does not tell: since when something has been so."""
@@ -238,7 +236,7 @@ class Supervisor:
         if state.is_armed:
             self.was_armed |= self.state is not State.PREPARING
             if not state.is_doubted:
-                self._sure_at, self._up = number + 2, self._height()
+                self._sure_at = number + 2
         if state.landed is not Landed.ON_GROUND:
             self._off_ground_s = now_s
         self._was_position_lost |= not state.is_position_good
@@ -247,12 +245,6 @@ class Supervisor:
         elif self._offboard_since is None:
             self._offboard_since = number
         self._battery.take()
-
-    def _height(self) -> tuple[float, float] | None:
-        """Vehicle time, and height above where it was armed; None unless it is in the air."""
-        if self._ground_down_m is None or self._link.state.landed not in AIRBORNE:
-            return None
-        return self._time_s, self._ground_down_m - self._link.pose.position_ned_m[2]
 
     def _is_sure(self) -> bool:
         return self._link.num_heartbeats >= self._sure_at and not self._link.state.are_two
@@ -360,11 +352,14 @@ class Supervisor:
 
     def _see_fallen(self) -> None:
         """Find out whether the motors stopped in the air, as by a kill switch."""
-        then_s, height_m = self._up or (-math.inf, 0.0)
-        if height_m <= _FALLEN_M or self._time_s > then_s + _FALLEN_WITHIN_S:
-            return
-        self.fallen = fallen(self._link, height_m)
-        self._leave_mission("failed", self.error or VehicleError(self.fallen))
+        stopped_at = self._link.state.stopped_at
+        with contextlib.suppress(VehicleError):  # no pose any more
+            if stopped_at is not None:
+                lost_m = self._link.pose.position_ned_m[2] - stopped_at.position_ned_m[2]
+                if lost_m > _FALLEN_M:
+                    self.fallen = fallen(self._link, lost_m)
+                    problem = None if self.error else VehicleError(self.fallen)
+                    self._leave_mission("failed", problem)
 
     # Doing
 

@@ -103,8 +103,10 @@ class Changes:
             self.claim()
             try:
                 await self._put_back_fence()
-            finally:  # a fence that cannot be read keeps no parameter
+            except RecordError:  # keeps no parameter
                 await self._put_back_parameters()
+                raise
+            await self._put_back_parameters()
 
     async def _put_back_fence(self) -> None:
         if not (kept := _load_fence(self._fence_path)):

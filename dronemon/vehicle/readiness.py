@@ -26,6 +26,7 @@ def problems(telemetry: Telemetry, round_trips_s: Sequence[float]) -> list[str]:
     checks = {
         "arming checks not passed": state.is_armable or state.is_armed,
         "no good absolute position (GPS?)": state.is_position_good,
+        "no word of what its board is called (AUTOPILOT_VERSION)": state.hardware is not None,
     }
     return [
         *(problem for problem, is_passed in checks.items() if not is_passed),

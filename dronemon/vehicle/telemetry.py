@@ -18,6 +18,7 @@ from dronemon.errors import CameraError
 from dronemon.frames import GeoPoint
 from dronemon.types import GpsFix, Pose, Vector3
 from dronemon.vehicle.link import Landed, Mode, StatusText, VehicleState
+from dronemon.vehicle.motor_watch import MotorWatch
 from dronemon.vehicle.px4 import REMOTE_ID_STATUS, ROTORCRAFT, mode_of
 from dronemon.vehicle.status_texts import StatusTexts
 from dronemon.vehicle.vehicle_clock import LATE_MS, VehicleClock
@@ -69,6 +70,7 @@ class Telemetry:
         self.texts = StatusTexts()
         self._state = VehicleState()
         self._clock = VehicleClock()
+        self._motors = MotorWatch()
         self._stamps: dict[str, int] = {}  # the newest by message, ATTITUDE apart
         self._heard_s: dict[str, float] = {}
         self._left_s: dict[_Status, float] = {}  # when heartbeats said something for the last time
@@ -194,6 +196,12 @@ class Telemetry:
         state, doubted, self._doubted = self._state, self._doubted, None
         self.num_heartbeats += 1
         before = (state.mode, state.is_armed, state.is_failsafe)
+        self._motors.take(
+            is_running=is_armed and not is_over,
+            landed=state.landed,
+            pose=self.pose,
+            time_s=self.time_s,
+        )
         is_stop = state.is_armed and not is_armed
         is_stop_said = is_stop and doubted is not None and not doubted[1]
         is_left = self.time_s - self._left_s.get(status, -math.inf) < LATE_MS / 1000.0
@@ -202,7 +210,8 @@ class Telemetry:
         elif status != before:
             self._left_s[before] = self.time_s
             self._update(mode=status[0], is_armed=is_armed, is_failsafe=status[2])
-        self._update(is_doubted=self._doubted is not None)
+        is_doubted = self._doubted is not None
+        self._update(is_doubted=is_doubted, stopped_at=self._motors.stopped_at)
 
     def _on_local_position(self, fields: dict[str, Any]) -> None:
         position = _vector(fields, ("x", "y", "z"), _FURTHEST_M)
@@ -216,8 +225,8 @@ class Telemetry:
         attitude_rad = _vector(fields, ("roll", "pitch", "yaw"), _WIDEST_RAD)
         num_reboots = self._clock.num_reboots
         time_s = self._clock.take(fields["time_boot_ms"], attitude_rad)
-        if self._clock.are_two and not self._state.are_two:
-            self._update(are_two=True)
+        if self._clock.are_two != self._state.are_two:
+            self._update(are_two=self._clock.are_two)
         if self._clock.num_reboots != num_reboots:
             self._position = None
             self._poses.clear()

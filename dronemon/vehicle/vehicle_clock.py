@@ -13,6 +13,7 @@ _ALTERNATIONS = 20
 _RECENT = 200
 _FOREIGN_SHARE = 0.4
 _FOREIGN_MS = 500
+_TWO_FOR_MS = 30_000
 
 
 class VehicleClock:
@@ -22,12 +23,12 @@ class VehicleClock:
     another clock's: it is believed once it has gone on for a second while the one before stayed
     away, as after a reboot or a long silence. Two that go on side by side are two vehicles'.
 
-    num_reboots: how often time began anew; are_two: whether two vehicles were found.
+    num_reboots: how often time began anew.
     """
 
     def __init__(self) -> None:
         self.num_reboots = 0
-        self.are_two = False
+        self._two_at_ms: int | None = None
         self._problem: str | None = None
         self._newest_ms: int | None = None  # unwrapped
         self._other: tuple[int, int] | None = None  # first and newest stamp of another clock
@@ -73,6 +74,13 @@ class VehicleClock:
                 self._doubt()
         return self._follow(time_ms, content)
 
+    @property
+    def are_two(self) -> bool:
+        """Whether two vehicles were heard of late."""
+        if self._two_at_ms is None or self._newest_ms is None:
+            return False
+        return self._two_at_ms <= self._newest_ms < self._two_at_ms + _TWO_FOR_MS
+
     def pop_problem(self) -> str | None:
         """What has become wrong with the clock since the last call."""
         problem, self._problem = self._problem, None
@@ -111,7 +119,7 @@ class VehicleClock:
 
     def _doubt(self) -> None:
         self._forget()
-        self.are_two = True
+        self._two_at_ms = self._newest_ms
         self._problem = (
             "two vehicles of one system id are heard, their clocks alternate; give each an id "
             "(PX4's MAV_SYS_ID) or a port of its own"

@@ -126,6 +126,7 @@ def test_a_low_battery_brings_the_drone_home(flight):
 
 
 def test_a_vehicle_that_disarms_on_patrol_ends_the_flight(flight):
+    flight.on_link = lambda link: setattr(link.vehicle, "fall_m_s", 0.0)
     flight.when("patrol", lambda: flight.link._set_armed(False))
     result = flight.fly()
     assert isinstance(result.error, VehicleError)

@@ -252,7 +252,7 @@ def test_a_flight_that_a_pilot_lands_on_its_way_home_is_the_pilots(flight):
 
     def land() -> None:
         flight.link.vehicle.position[2] = 0.0
-        flight.link.vehicle.is_armed = False
+        flight.later(1.5, lambda: setattr(flight.link.vehicle, "is_armed", False))
 
     def take() -> None:
         flight.link.vehicle.choose(Mode.POSITION)
@@ -264,18 +264,49 @@ def test_a_flight_that_a_pilot_lands_on_its_way_home_is_the_pilots(flight):
     assert (result.outcome, result.is_landed) == ("pilot", True)
 
 
-@pytest.mark.parametrize("moment", ["patrol", "homecoming"])
-def test_motors_that_stop_in_the_air_are_no_landing(flight, moment):
+@pytest.mark.parametrize("after_s", [1.0, 1.3, 1.6, 1.9])
+@pytest.mark.parametrize("moment", ["armed", "patrol", "homecoming"])
+def test_motors_that_stop_in_the_air_are_no_landing(flight, moment, after_s):
     def kill() -> None:
         flight.link.vehicle.is_armed = False
 
-    flight.when(moment, lambda: flight.later(1.0, kill))
+    flight.when(moment, lambda: flight.later(after_s + 4.0 * (moment == "armed"), kill))
     result = flight.fly()
     assert (result.outcome, result.is_landed, result.landing_error_m) == ("failed", False, None)
-    assert "the motors stopped in the air, 22 m above" in result.last_word
-    assert "47." in result.last_word
+    assert "the motors stopped in the air" in result.last_word
+    assert "at 47." in result.last_word
     assert isinstance(result.error, VehicleError)
     assert flight.record.text("disarmed") == result.last_word
+
+
+def test_a_killed_drone_has_fallen_though_it_disarms_on_the_ground(flight):
+    """PX4 leaves it armed for 5 s."""
+
+    def kill() -> None:
+        vehicle = flight.link.vehicle
+        vehicle.failsafe = Mode.TERMINATION
+        vehicle.position[2] = 0.0
+        flight.later(5.0, lambda: setattr(vehicle, "is_armed", False))
+
+    flight.when("homecoming", lambda: flight.later(1.0, kill))
+    result = flight.fly()
+    assert (result.outcome, result.is_landed) == ("failed", False)
+    assert "it has fallen 22 m or more" in result.last_word
+
+
+@pytest.mark.parametrize("disarm_after_s", [0.1, 0.5, 2.0])
+def test_a_landing_on_higher_ground_is_no_fall(flight, disarm_after_s):
+    def land() -> None:
+        vehicle = flight.link.vehicle
+        vehicle.is_armed = vehicle.position[2] < -8.0 - 3.0 * disarm_after_s
+        if vehicle.is_armed:
+            flight.later(0.1, land)
+        else:
+            vehicle.fall_m_s = 0.0
+
+    flight.when("homecoming", land)
+    result = flight.fly()
+    assert (result.outcome, result.is_landed) == ("completed", True)
 
 
 def test_a_terminated_flight_is_no_failsafe_that_flies_home(flight):

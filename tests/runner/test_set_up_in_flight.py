@@ -45,6 +45,9 @@ def test_preflight_of_a_vehicle_that_others_fly_is_no_go(tmp_path, height_m):
     path = tmp_path / "small.yaml"
     path.write_text(MISSION)
 
+    state_folder().mkdir(parents=True)  # what a flight before left
+    (state_folder() / "fake.json").write_text('{"GF_ACTION": {"old": 2.0, "new": 3.0}}')
+
     async def inspect() -> list[Finding]:
         async with FakeLink() as link:
             link.vehicle.is_armed, link.vehicle.position[2] = True, -height_m

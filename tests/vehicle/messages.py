@@ -19,6 +19,7 @@ READY = {
     "HOME_POSITION": HOME,
     "GPS_GLOBAL_ORIGIN": HOME,
     "GLOBAL_POSITION_INT": PLACE,
+    "AUTOPILOT_VERSION": {"uid": 17, "uid2": [0] * 18},
     "ESTIMATOR_STATUS": {"flags": mavlink.ESTIMATOR_POS_HORIZ_ABS},
     "SYS_STATUS": {
         "battery_remaining": 73,

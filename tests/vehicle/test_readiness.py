@@ -22,6 +22,10 @@ def test_nothing_is_against_a_vehicle_that_is_ready():
         ({"ESTIMATOR_STATUS": {"flags": 0}}, "no good absolute position (GPS?)"),
         ({"ESTIMATOR_STATUS": None}, "no good absolute position (GPS?)"),
         ({"HOME_POSITION": None}, "no home position"),
+        (
+            {"AUTOPILOT_VERSION": None},
+            "no word of what its board is called (AUTOPILOT_VERSION)",
+        ),
         ({"GPS_GLOBAL_ORIGIN": None}, "no origin of the local frame"),
         ({"GLOBAL_POSITION_INT": None}, "no global position"),
         ({"GLOBAL_POSITION_INT": PLACE | {"lat": 0, "lon": 0}}, "no global position"),

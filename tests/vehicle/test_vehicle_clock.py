@@ -95,3 +95,6 @@ def test_two_clocks_that_go_on_side_by_side_are_two_vehicles(apart_ms):
         clock.take(now - apart_ms, "two")
     assert "two vehicles of one system id" in clock.pop_problem()
     assert clock.num_reboots == 0
+    assert clock.are_two
+    heard(clock, stamps(106_000, 31_000))
+    assert not clock.are_two, "the other is gone"
