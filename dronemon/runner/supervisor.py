@@ -53,8 +53,8 @@ FAILSAFE_HOLD_LIMIT_S = 8.0
 """Vehicle time of a failsafe's hold: PX4 acts after COM_FAIL_ACT_T, 5 s by default."""
 DISARM_LIMIT_S = 5.0
 """Vehicle time on the ground after which we disarm; PX4 does after COM_DISARM_LAND, 2 s."""
-_FALLEN_M = 5.0
-"""More than a drone sinks between two heartbeats as it lands."""
+_FALLEN_M, _FALLING_M_S = 5.0, 3.0
+"""More than a drone sinks between two heartbeats as it lands, and faster than one that landed."""
 _RETRY_S = 0.5
 _OUTCOMES = {
     Reason.HORIZON: "completed",
@@ -355,8 +355,9 @@ class Supervisor:
         stopped_at = self._link.state.stopped_at
         with contextlib.suppress(VehicleError):  # no pose any more
             if stopped_at is not None:
-                lost_m = self._link.pose.position_ned_m[2] - stopped_at.position_ned_m[2]
-                if lost_m > _FALLEN_M:
+                pose = self._link.pose
+                lost_m = pose.position_ned_m[2] - stopped_at.position_ned_m[2]
+                if lost_m > _FALLEN_M or pose.velocity_ned_m_s[2] > _FALLING_M_S:
                     self.fallen = fallen(self._link, lost_m)
                     problem = None if self.error else VehicleError(self.fallen)
                     self._leave_mission("failed", problem)
