@@ -20,7 +20,6 @@ import fcntl
 import hashlib
 import itertools
 import json
-import math
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,13 +28,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from dronemon.clock import machine_time
 from dronemon.durable import LineWriter, replace_text, write_new
 from dronemon.errors import RecordError
 from dronemon.events import Decided, Event, Measured, Noted
+from dronemon.json_values import json_line, json_text
 from dronemon.mission import Mission
 from dronemon.mission.scalars import Dumper
 
@@ -193,7 +192,7 @@ class RunRecorder:
         The summary of one that was to go on is as it was.
         """
         if self._before is not None:
-            replace_text(self.folder.path / SUMMARY_FILE, _json_text(self._before))
+            replace_text(self.folder.path / SUMMARY_FILE, json_text(self._before))
         self.close()
         if self._before is not None:
             return
@@ -232,7 +231,7 @@ class RunRecorder:
         self._lock.close()
 
     def _append(self, name: str, record: Mapping[str, object]) -> None:
-        self._lines.add(self.folder.path / name, _json_line(record))
+        self._lines.add(self.folder.path / name, json_line(record))
 
     @contextlib.contextmanager
     def _naming_the_disk(self) -> Iterator[None]:
@@ -245,7 +244,7 @@ class RunRecorder:
             ) from exc
 
     def _write_summary(self, summary: Mapping[str, object]) -> None:
-        replace_text(self.folder.path / SUMMARY_FILE, _json_text({**self._head, **summary}))
+        replace_text(self.folder.path / SUMMARY_FILE, json_text({**self._head, **summary}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -330,10 +329,6 @@ def _as_flown(mission: Mission) -> str:
     return text
 
 
-def _json_text(summary: Mapping[str, object]) -> str:
-    return json.dumps(json_value(dict(summary)), indent=2, ensure_ascii=False) + "\n"
-
-
 def _now() -> datetime:
     """Wall time, for names and stamps only; a mission's time is the vehicle's."""
     return datetime.now(UTC).astimezone()
@@ -379,27 +374,6 @@ def _fingerprint(path: Path) -> dict[str, object]:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256")
     return {"bytes": path.stat().st_size, "sha256": digest.hexdigest()}
-
-
-def _json_line(record: Mapping[str, object]) -> bytes:
-    plain = json_value(record)
-    text = json.dumps(plain, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.encode(errors="backslashreplace") + b"\n"  # a lone surrogate as JSON escapes it
-
-
-def json_value(value: object) -> object:
-    """Give a JSON value: lists for arrays, null for NaN, its text for what JSON does not know."""
-    if isinstance(value, np.ndarray | np.generic):
-        return json_value(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): json_value(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [json_value(item) for item in value]
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    return str(value)
 
 
 def _read_lines(path: Path) -> Iterator[dict[str, Any]]:

@@ -19,10 +19,10 @@ from dronemon.fence import Fence
 from dronemon.frames import AreaFrame, geo_to_ned
 from dronemon.guard import Action
 from dronemon.guidance import Carrot, Point
+from dronemon.json_values import json_value
 from dronemon.planner import Snapshot, Waypoint
 from dronemon.planner.motion import until_measurement_au, waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.recorder import json_value
 from dronemon.roadmap import Roadmap
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import math
 from collections.abc import Awaitable, Callable
 from typing import Unpack
@@ -35,7 +34,7 @@ from dronemon.guard import (
 from dronemon.runner.battery import Battery
 from dronemon.runner.interrupts import Interrupted, Interrupts
 from dronemon.runner.last_seen import fallen
-from dronemon.runner.telling import Telling
+from dronemon.runner.telling import Telling, as_told
 from dronemon.vehicle import UNFLOWN, Landed, Mode, Setpoint, VehicleLink
 
 REPORT_INTERVAL_S = 1.0
@@ -53,8 +52,6 @@ FAILSAFE_HOLD_LIMIT_S = 8.0
 """Vehicle time of a failsafe's hold: PX4 acts after COM_FAIL_ACT_T, 5 s by default."""
 DISARM_LIMIT_S = 5.0
 """Vehicle time on the ground after which we disarm; PX4 does after COM_DISARM_LAND, 2 s."""
-_FALLEN_M, _FALLING_M_S = 5.0, 3.0
-"""More than a drone sinks between two heartbeats as it lands, and faster than one that landed."""
 _RETRY_S = 0.5
 _OUTCOMES = {
     Reason.HORIZON: "completed",
@@ -73,8 +70,7 @@ class Supervisor:
 
     progress: tells a line of progress of a phase; planner_name: for its errors.
     is_resumed: whether a flight of before goes on.
-    outcome: `completed`, `interrupted`, `battery low`, `pilot` (took over) or `failed`; error: what
-    went wrong first, also if the drone came home after it.
+    outcome: as FlightResult has it; error: what went wrong first, also if the drone came home.
     was_armed: whether we armed it; is_down: whether the motors are off for sure.
     was_taken_home: whether a pilot had control on the way home.
     fallen: the last words on a drone whose motors stopped in the air.
@@ -158,7 +154,7 @@ class Supervisor:
         try:
             return self.ask()
         except Exception as exc:  # noqa: BLE001 - the drone flies
-            problem = _problem(exc)
+            problem = as_told(exc)
         if self.state in MISSION:
             self._turn_back(problem)
         elif self._interrupts.count >= 3:
@@ -176,7 +172,7 @@ class Supervisor:
         except Interrupted:
             return  # the guard sees that a person asked
         except (Exception, asyncio.CancelledError) as exc:  # noqa: BLE001 - the same
-            problem = _problem(exc)
+            problem = as_told(exc)
             if before in MISSION and self.state not in MISSION:
                 self._leave_mission("failed", problem)  # the guard had ended it already
             else:
@@ -341,26 +337,16 @@ class Supervisor:
         """The last state is known: what the program says from now on is about the past."""
         if self.state is State.PILOT and (self._before in MISSION or self.outcome == "battery low"):
             self.outcome = _OUTCOMES.get(reason, "failed")
-        if reason in {Reason.LOST_FOR_GOOD, Reason.LEFT}:
-            self.error = self.error or self._problem
         is_heard = reason not in {Reason.LOST_FOR_GOOD, Reason.LEFT}
+        if not is_heard:
+            self.error = self.error or self._problem
         is_sure = self._is_sure() or not self.was_armed
         self.is_down = is_heard and is_sure and not self._link.state.is_armed
         if self.is_down and self.was_armed:
-            self._see_fallen()
+            self.fallen = fallen(self._link)
+            if self.fallen:
+                self._leave_mission("failed", None if self.error else VehicleError(self.fallen))
             self._events.note("disarmed", self.fallen or str(reason))
-
-    def _see_fallen(self) -> None:
-        """Find out whether the motors stopped in the air, as by a kill switch."""
-        stopped_at = self._link.state.stopped_at
-        with contextlib.suppress(VehicleError):  # no pose any more
-            if stopped_at is not None:
-                pose = self._link.pose
-                lost_m = pose.position_ned_m[2] - stopped_at.position_ned_m[2]
-                if lost_m > _FALLEN_M or pose.velocity_ned_m_s[2] > _FALLING_M_S:
-                    self.fallen = fallen(self._link, lost_m)
-                    problem = None if self.error else VehicleError(self.fallen)
-                    self._leave_mission("failed", problem)
 
     # Doing
 
@@ -412,11 +398,3 @@ class Supervisor:
             )
         )
         await self._link.next_pose()
-
-
-def _problem(exc: BaseException) -> DronemonError:
-    """What a person is told of it; what is no error of a vehicle is a fault of ours."""
-    if isinstance(exc, DronemonError):
-        return exc
-    logging.getLogger(__name__).error("in a flight", exc_info=exc)
-    return DronemonError(f"a fault of this program: {exc!r}")

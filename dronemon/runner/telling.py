@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 
 from dronemon.errors import DronemonError, LinkLost
@@ -48,3 +49,11 @@ class Telling:
         if count > 1:
             what = "the drone lands where it is; a third ends the program if it obeys nothing"
         self._events.note("interrupt", _INTERRUPTS.get(state, what))
+
+
+def as_told(exc: BaseException) -> DronemonError:
+    """What a person is told of it; what is no error of a vehicle is a fault of ours."""
+    if isinstance(exc, DronemonError):
+        return exc
+    logging.getLogger(__name__).error("in a flight", exc_info=exc)
+    return DronemonError(f"a fault of this program: {exc!r}")

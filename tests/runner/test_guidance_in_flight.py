@@ -25,9 +25,9 @@ from dronemon.errors import (
 )
 from dronemon.events import Decided, Progressed
 from dronemon.guard import Reason
+from dronemon.json_values import json_line
 from dronemon.planner import Snapshot, Waypoint
 from dronemon.planner.motion import step_towards, until_measurement_au
-from dronemon.recorder import _json_line
 
 
 def test_a_planner_that_steps_to_the_next_picture_is_not_asked_for_centimetres(flight):
@@ -105,7 +105,7 @@ def test_what_json_cannot_say_of_a_decision_is_recorded_as_text(flight):
     assert flight.fly().outcome == "completed"
     told = next(e for e in flight.record.events if isinstance(e, Decided) and e.details)
     assert "lock" in asdict(told)["details"]["lock"]
-    assert json.loads(_json_line(told.details))["half"] == "\udc80"
+    assert json.loads(json_line(told.details))["half"] == "\udc80"
 
 
 @pytest.mark.parametrize(("act", "words"), [(hangs, "no answer for 30 s"), (leaves, "SystemExit")])
