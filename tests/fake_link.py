@@ -110,7 +110,7 @@ class FakeVehicle:
     def step(self) -> None:
         self.time_s = round(self.time_s + STEP_S, 6)
         before = list(self.position)
-        if self.is_armed:
+        if self.is_armed and self.mode is not Mode.TERMINATION:
             self._fly()
         else:
             self._move(2, 0.0, self.fall_m_s)
@@ -247,10 +247,9 @@ class FakeLink:
             self._motors.take(
                 is_running=vehicle.is_armed and vehicle.mode is not Mode.TERMINATION,
                 landed=self._state.landed,
-                pose=self._poses[-1] if self._poses else None,
-                time_s=vehicle.time_s,
+                poses=reversed(self._poses),
             )
-            said["stopped_at"] = self._motors.stopped_at
+            said["fell_from"] = self._motors.fell_from
             self._state = replace(self._state, **(said | self._misled))
             self._misled = {}
         self._state = replace(

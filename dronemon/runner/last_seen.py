@@ -24,8 +24,6 @@ _FAILSAFE = (
     "its failsafe acts within seconds: by default it flies home, or comes down where it has no "
     "position"
 )
-_FALLEN_M, _FALLING_M_S = 5.0, 3.0
-"""More than a drone sinks between two heartbeats as it lands, and faster than one that landed."""
 _PILOTS = "whoever chose that mode flies it"
 
 
@@ -64,18 +62,10 @@ class LastSeen:
 
 def fallen(link: VehicleLink) -> str | None:
     """The last words on a drone whose motors stopped in the air, as by a kill switch."""
-    stopped_at = link.state.stopped_at
-    if stopped_at is None:
-        return None
-    try:
-        pose = link.pose
-    except VehicleError:  # it has rebooted, and is not heard yet
-        return None
-    height_m = pose.position_ned_m[2] - stopped_at.position_ned_m[2]
-    if height_m <= _FALLEN_M and pose.velocity_ned_m_s[2] <= _FALLING_M_S:
+    if link.state.fell_from is None:
         return None
     return (
-        f"the motors stopped in the air: it has fallen {height_m:.0f} m or more; heard last "
+        f"the motors stopped in the air, and it has fallen; heard last "
         f"{last_seen(link).place}; stay clear of its propellers, and take its battery out"
     )
 

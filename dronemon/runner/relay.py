@@ -142,8 +142,12 @@ class Relay:
                 request.unlink(missing_ok=True)
                 command = f"`dronemon resume {folder}`"
                 is_seen = self._is_told and battery is not None
-                what = "a fresh battery is in" if is_seen else "no level tells a fresh battery"
-                text = f"{what}; once it is in and all are clear, {command} takes off"
+                what = (
+                    "a fresh battery is in"
+                    if is_seen
+                    else "see to a fresh battery: no level tells one"
+                )
+                text = f"{what}; once all are clear, {command} takes off"
                 self._note(text, kind=WAITING)
             elif is_fresh and request.exists():
                 request.unlink()

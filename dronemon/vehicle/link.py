@@ -76,8 +76,8 @@ class VehicleState:
     """Whether the newest heartbeat says otherwise, and is believed only with a second one."""
     are_two: bool = False
     """Whether another vehicle of the same system id is heard: all that is known may be its own."""
-    stopped_at: Pose | None = None
-    """The pose when the motors ran for the last time, where that was in the air."""
+    fell_from: Pose | None = None
+    """The pose when the motors ran for the last time, in the air, if it has fallen since."""
     is_armable: bool = False
     """Whether the arming checks pass."""
     is_position_good: bool = False

