@@ -65,7 +65,7 @@ def fallen(link: VehicleLink) -> str | None:
     if link.state.fell_from is None:
         return None
     return (
-        f"the motors stopped in the air, and it has fallen; heard last "
+        "the motors stopped in the air, and it has fallen; heard last "
         f"{last_seen(link).place}; stay clear of its propellers, and take its battery out"
     )
 
