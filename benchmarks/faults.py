@@ -116,8 +116,8 @@ class Case:
 
     @property
     def is_for_px4(self) -> bool:
-        """Whether it is a fault of the camera, the program, the planner or the disk."""
-        return not self.faults or self.spoils_pictures
+        """Whether it is a fault of the camera, the program or the planner."""
+        return not self.is_disk_full and (not self.faults or self.spoils_pictures)
 
 
 CASES = {
@@ -127,6 +127,7 @@ CASES = {
     "deaf": Case(("deaf@{t}",), ends=("left",)),
     "loss 20 %, delay 200 ms": Case(("loss=0.2@{t}", "delay=0.2@{t}")),
     "everything again 1.5 s later": Case(("duplicate=1.5@{t}",)),
+    "everything again 8 s later, loss 10 %": Case(("duplicate=8@{t}", "loss=0.1@{t}")),
     "reordered": Case(("reorder=0.3@{t}",)),
     "corrupted": Case(("corrupt=0.1@{t}",)),
     "setpoints ignored 3 s": Case(("ignore@{t}+3",)),

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
-from dronemon.errors import DronemonError, VehicleError
+from dronemon.errors import DronemonError, LinkTimeout, VehicleError
 from dronemon.events import Subscriber, TruthTold
 from dronemon.feasibility import make_planner
 from dronemon.mission import Mission, MissionFile
@@ -33,6 +33,7 @@ from dronemon.runner import (
     rehearse,
 )
 from dronemon.runner.history import History, Newest, read_history, read_newest
+from dronemon.runner.interrupts import Interrupted
 from dronemon.runner.relay import Relay
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, read_truth, simulator
@@ -284,8 +285,8 @@ class _Run:
         while True:
             try:
                 history = self._history() if is_resumed or result else None
-                async with self.link() as link:
-                    setup = self.setup(link, history)
+                async with contextlib.AsyncExitStack() as stack:
+                    setup = self.setup(await self._connected(stack), history)
                     result = await fly_mission(setup)
                 self._tell_truth()
                 landed = None if result.has_flown else landed
@@ -296,6 +297,14 @@ class _Run:
                 if result is None:
                     raise
                 return _failed_after(result, exc)
+
+    async def _connected(self, stack: contextlib.AsyncExitStack) -> MavsdkLink:
+        """A link, open until the stack closes. Raises LinkTimeout also where a person ends it."""
+        try:
+            async with self.interrupts.leaving():
+                return await stack.enter_async_context(self.link())
+        except Interrupted as exc:
+            raise LinkTimeout("ended before a vehicle was heard; nothing was commanded") from exc
 
     def _history(self) -> History:
         self.recorder.flush()

@@ -169,7 +169,7 @@ class FakeLink:
         self._loss_s, self._timeout_s = link_loss_timeout_s, command_timeout_s
         self._heartbeat_s, self._heartbeat_due_s = heartbeat_s, 0.0
         self._num_heartbeats, self._beat_at = 0, 0.0
-        self.num_resets = 0
+        self.num_resets, self.jumped_down_m = 0, 0.0
         self.hardware, self.origin = "fake", ORIGIN
         self._misled: dict[str, Any] = {}
         self._state = VehicleState()
@@ -258,6 +258,7 @@ class FakeLink:
             is_position_good=vehicle.is_position_good,
             is_estimate_heard=vehicle.is_estimate_heard,
             num_resets=self.num_resets,
+            jumped_down_m=self.jumped_down_m,
             # As PX4 has it: whatever is disarmed has landed.
             landed=Landed.IN_AIR
             if vehicle.is_armed and not vehicle.is_on_ground

@@ -11,9 +11,11 @@ import pytest
 
 from dronemon import assembly
 from dronemon.assembly import Request, assemble_and_fly
+from dronemon.errors import LinkTimeout
 from dronemon.mission import load_mission
 from dronemon.runner import FlightResult
 from dronemon.runner.flight import DOWN
+from dronemon.runner.interrupts import Interrupts
 
 RESULT = FlightResult(
     outcome="completed",
@@ -34,6 +36,32 @@ targets:
 planner: {kind: lawnmower}
 view: {live: false}
 """
+
+
+def test_a_person_need_not_wait_until_a_vehicle_is_heard(monkeypatch):
+    interrupts = Interrupts()
+
+    @contextlib.asynccontextmanager
+    async def never_heard(*_):
+        asyncio.get_running_loop().call_soon(interrupts.request)
+        await asyncio.Event().wait()
+        yield
+
+    monkeypatch.setattr(assembly, "_link", never_heard)
+    monkeypatch.setattr(assembly._Run, "_priors_au", lambda _: None)
+    run = assembly._Run(
+        file=SimpleNamespace(mission=None),
+        sim=None,
+        detector=None,
+        planner=None,
+        recorder=None,
+        watchers=(),
+        interrupts=interrupts,
+        settings={},
+        folder=None,
+    )
+    with pytest.raises(LinkTimeout, match="nothing was commanded"):
+        asyncio.run(asyncio.wait_for(run.fly(is_resumed=False), 5.0))
 
 
 @contextlib.contextmanager

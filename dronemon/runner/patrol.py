@@ -87,6 +87,7 @@ class Patrol:
         self._horizon_m = self._mission.horizon_au * frame.side_m
         self._num_pictures = self._mission.num_pictures
         self._down_m = frame.ground_down_m - self._mission.flight.altitude_m
+        self._jumped_down_m = setup.link.state.jumped_down_m
         self._waypoint_au = start_au
         self._node: int | None = 0
         if history and history.waypoint_au is not None:
@@ -148,9 +149,11 @@ class Patrol:
         return off_m <= _HEIGHT_BAND_M + _HEIGHT_BAND * self._mission.flight.altitude_m
 
     def _set_out(self, pose: Pose) -> None:
-        """Begin a path here, to the newest waypoint."""
-        flight = self._mission.flight
-        self._num_resets = self._link.state.num_resets
+        """Begin a path here, to the newest waypoint, at the height that was flown so far."""
+        flight, state = self._mission.flight, self._link.state
+        self._num_resets = state.num_resets
+        self._down_m += state.jumped_down_m - self._jumped_down_m
+        self._jumped_down_m = state.jumped_down_m
         self._carrot = Carrot(
             pose.position_ned_m[:2],
             speed_m_s=flight.cruise_speed_m_s,

@@ -73,7 +73,7 @@ class VehicleState:
     is_armed: bool = False
     is_failsafe: bool = False
     is_doubted: bool = False
-    """Whether the newest heartbeat says otherwise, and is believed only with a second one."""
+    """Whether the newest heartbeat says otherwise, and is believed only with the next ones."""
     are_two: bool = False
     """Whether another vehicle of the same system id is heard: all that is known may be its own."""
     fell_from: Pose | None = None
@@ -104,6 +104,8 @@ class VehicleState:
     """Where the vehicle is on the globe."""
     num_resets: int = 0
     """How often the position jumped as no velocity explains: the estimator was reset."""
+    jumped_down_m: float = 0.0
+    """How far down it jumped then, all jumps together."""
     num_unreadable: int = 0
     """Messages left out, since they hold what cannot be, such as a number that is none."""
 

@@ -23,6 +23,7 @@ from dronemon.vehicle.hearing import Hearing
 from dronemon.vehicle.link import AIRBORNE, BY_STICKS, Mode, Setpoint, StatusText, VehicleState
 from dronemon.vehicle.px4 import RUN_CHECKS, Command
 from dronemon.vehicle.readiness import problems
+from dronemon.vehicle.vehicle_clock import LATE_MS
 from dronemon.vehicle.wire import Wire
 
 _WANTED_HZ = {
@@ -49,6 +50,7 @@ a simulator that runs faster come in bursts, and a burst is no pause of ours."""
 _TEXTS_COME_S = 1.2
 _CLIMB_M, _CLIMB_WITHIN_S = 1.0, 20.0
 _WORDS = 4
+_DOUBTFUL_BEATS = 5
 
 
 class MavsdkLink:
@@ -82,6 +84,7 @@ class MavsdkLink:
             connect_timeout_s=connect_timeout_s,
         )
         self._sent_at = -math.inf  # wall time of the newest setpoint
+        self._asked_offboard_s = -math.inf
 
     async def __aenter__(self) -> MavsdkLink:
         await self._wire.__aenter__()
@@ -236,8 +239,10 @@ class MavsdkLink:
 
     async def _change_mode(self, mode: Mode) -> None:
         """Ask for a mode and wait for the heartbeat that shows it; a pilot's choice wins."""
-        if self.state.is_doubted:  # it may be the pilot's
-            await self.next_heartbeat()
+        for _ in range(_DOUBTFUL_BEATS):
+            if not self.state.is_doubted:
+                break
+            await self.next_heartbeat()  # the mode may be the pilot's
         self._modes.check(self.state)
         self._modes.expect_also(mode, self.state.mode)
         await self._confirm(f"mode '{mode}'", Command.choose(mode), lambda: self.state.mode is mode)
@@ -262,7 +267,12 @@ class MavsdkLink:
                 await self._change_mode(Mode.HOLD)
 
     async def take_off(self, height_m: float) -> None:
-        """Climb to a height above the present place and hold there."""
+        """Climb to a height above the present place and hold there; only from the ground."""
+        if self.state.landed in AIRBORNE:
+            raise ControlTaken(
+                f"it is {self.state.landed} before we asked for the take-off: the pilot flies",
+                by_failsafe=False,
+            )
         start_down_m, origin = self.pose.position_ned_m[2], self.state.origin
         if origin is None:
             raise CommandUnconfirmed("take-off: the origin of the local frame was not heard")
@@ -342,12 +352,20 @@ class MavsdkLink:
             if self.time_s > ask_s:
                 ask_s = self.time_s + self._attempt_timeout_s
                 await self._wire.post(command)  # setpoints must go on while the answer is under way
+                self._asked_offboard_s = self.time_s
             await self.next_pose()
         raise self._failure(f"mode '{Mode.OFFBOARD}'", command, num_texts)
 
     async def send_setpoint(self, setpoint: Setpoint) -> None:
-        """Send one setpoint; after a pause, only once it is known that the mode is still ours."""
+        """Send one setpoint; after a pause, only once it is known that the mode is still ours.
+
+        While others fly, none is sent as long as a late copy of our own request for offboard may
+        be on its way: with setpoints, it would take the vehicle from them.
+        """
         loop = asyncio.get_running_loop()
+        late_s = LATE_MS / 1000.0
+        if self._modes.is_released and self.time_s < self._asked_offboard_s + late_s:
+            return
         if loop.time() > self._sent_at + _SETPOINT_GAP_S:
             # In its failsafe PX4 would follow the setpoint again. Old telemetry may be on its way.
             await self._wire.round_trip()

@@ -20,6 +20,11 @@ class ModeWatch:
         """While a command is under way the mode is still the present one, or what we asked."""
         self._expected = (self._expected or frozenset({present})) | {mode}
 
+    @property
+    def is_released(self) -> bool:
+        """Whether any mode is welcome: others fly, or nobody does yet."""
+        return self._expected is None
+
     def release(self) -> None:
         """From now on any mode is welcome: whoever chose it is in control."""
         self._expected = None

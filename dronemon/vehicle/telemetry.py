@@ -21,6 +21,7 @@ from dronemon.vehicle.link import Landed, Mode, StatusText, VehicleState
 from dronemon.vehicle.motor_watch import MotorWatch
 from dronemon.vehicle.px4 import REMOTE_ID_STATUS, ROTORCRAFT, mode_of
 from dronemon.vehicle.status_texts import StatusTexts
+from dronemon.vehicle.unstamped import Unstamped
 from dronemon.vehicle.vehicle_clock import LATE_MS, VehicleClock
 
 _LANDED = {
@@ -73,18 +74,16 @@ class Telemetry:
         self._motors = MotorWatch()
         self._stamps: dict[str, int] = {}  # the newest by message, ATTITUDE apart
         self._heard_s: dict[str, float] = {}
-        self._left_s: dict[_Status, float] = {}  # when heartbeats said something for the last time
-        self._doubted: _Status | None = None  # what the newest heartbeat says against the state
+        self._status: Unstamped[_Status] = Unstamped((Mode.OTHER, False, False), _stops)
+        self._landed = Unstamped(Landed.UNKNOWN)
         self._poses: deque[Pose] = deque(maxlen=_POSES_KEPT)
         self._position: tuple[float, Vector3, Vector3] | None = None
-        self._num_jumps = 0  # told with the first pose after each
+        self._num_jumps, self._jumped_down_m = 0, 0.0  # told with the first pose after each
         self._handlers: dict[str, Callable[[dict[str, Any]], None]] = {
             "HEARTBEAT": self._on_heartbeat,
             "ATTITUDE": self._on_attitude,
             "LOCAL_POSITION_NED": self._on_local_position,
-            "EXTENDED_SYS_STATE": lambda fields: self._update(
-                landed=_LANDED[fields["landed_state"]]
-            ),
+            "EXTENDED_SYS_STATE": self._on_landed,
             "SYS_STATUS": self._on_sys_status,
             "ESTIMATOR_STATUS": self._on_estimator_status,
             "HOME_POSITION": lambda fields: self._update(home=_geo_point(fields)),
@@ -176,12 +175,7 @@ class Telemetry:
         self._state = replace(self._state, **changes)
 
     def _on_heartbeat(self, fields: dict[str, Any]) -> None:
-        """Take mode and armed state.
-
-        Heartbeats have no stamp, one that comes late says what was, and one may be another's: a
-        state that was left within the last seconds, and motors that stop, are believed only when
-        two in a row say so. Armed in termination, or killed, it flies no mode any more.
-        """
+        """Take mode and armed state. Armed in termination, or killed, it flies no mode any more."""
         if fields["autopilot"] != mavlink.MAV_AUTOPILOT_PX4 or fields["type"] not in ROTORCRAFT:
             raise ValueError("not the autopilot's")
         mode = mode_of(_whole(fields["custom_mode"], 0, 2**32 - 1))
@@ -193,24 +187,25 @@ class Telemetry:
             is_armed,
             is_over or standing == mavlink.MAV_STATE_CRITICAL,
         )
-        state, doubted, self._doubted = self._state, self._doubted, None
         self.num_heartbeats += 1
-        before = (state.mode, state.is_armed, state.is_failsafe)
         self._motors.take(
             is_running=is_armed and not is_over,
-            landed=state.landed,
+            landed=self._state.landed,
             poses=reversed(self._poses),
         )
-        is_stop = state.is_armed and not is_armed
-        is_stop_said = is_stop and doubted is not None and not doubted[1]
-        is_left = self.time_s - self._left_s.get(status, -math.inf) < LATE_MS / 1000.0
-        if status != before and (is_stop or is_left) and status != doubted and not is_stop_said:
-            self._doubted = status
-        elif status != before:
-            self._left_s[before] = self.time_s
-            self._update(mode=status[0], is_armed=is_armed, is_failsafe=status[2])
-        is_doubted = self._doubted is not None
-        self._update(is_doubted=is_doubted, fell_from=self._motors.fell_from)
+        self._status.take(status, self.time_s)
+        mode, is_armed, is_failsafe = self._status.value
+        self._update(
+            mode=mode,
+            is_armed=is_armed,
+            is_failsafe=is_failsafe,
+            is_doubted=self._status.doubted is not None,
+            fell_from=self._motors.fell_from,
+        )
+
+    def _on_landed(self, fields: dict[str, Any]) -> None:
+        self._landed.take(_LANDED[fields["landed_state"]], self.time_s)
+        self._update(landed=self._landed.value)
 
     def _on_local_position(self, fields: dict[str, Any]) -> None:
         position = _vector(fields, ("x", "y", "z"), _FURTHEST_M)
@@ -218,6 +213,7 @@ class Telemetry:
         newest = (self._clock.time_s(fields["time_boot_ms"]), position, velocity)
         if self._position is not None and _is_jump(self._position, newest):
             self._num_jumps += 1
+            self._jumped_down_m += position[2] - self._position[1][2]
         self._position = newest
 
     def _on_attitude(self, fields: dict[str, Any]) -> None:
@@ -230,7 +226,8 @@ class Telemetry:
             self._position = None
             self._poses.clear()
             self._stamps.clear()
-            self._left_s.clear()
+            self._status.forget()
+            self._landed.forget()
             self._heard_s.clear()
         if time_s is None or self._position is None:
             return
@@ -244,7 +241,7 @@ class Telemetry:
         if ahead_s > _STALE_POSITION_S:
             return  # no pose is better than an old place with a new time
         if self._num_jumps != self._state.num_resets:
-            self._update(num_resets=self._num_jumps)
+            self._update(num_resets=self._num_jumps, jumped_down_m=self._jumped_down_m)
         self._poses.append(
             Pose(
                 time_s=time_s,
@@ -291,6 +288,11 @@ class Telemetry:
     def _on_remote_id(self, fields: dict[str, Any]) -> None:
         is_good = fields["status"] == mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM
         self._update(remote_id="" if is_good else str(fields["error"]) or "it does not say why")
+
+
+def _stops(before: _Status, after: _Status) -> bool:
+    """Whether motors stop: taken for true, it ends a flight."""
+    return before[1] and not after[1]
 
 
 def _is_jump(before: tuple[float, Vector3, Vector3], after: tuple[float, Vector3, Vector3]) -> bool:

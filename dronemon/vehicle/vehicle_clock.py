@@ -9,6 +9,7 @@ LATE_MS = 10_000
 _WRAP_MS = 2**32
 _FURTHEST_AHEAD_MS = 3_600_000
 _BELIEVED_MS = 1_000
+_LEAP_MS = 1_500
 _ALTERNATIONS = 20
 _RECENT = 200
 _FOREIGN_SHARE = 0.4
@@ -21,7 +22,9 @@ class VehicleClock:
 
     A stamp from the last seconds is late and dropped. Any other that does not follow the newest is
     another clock's: it is believed once it has gone on for a second while the one before stayed
-    away, as after a reboot or a long silence. Two that go on side by side are two vehicles'.
+    away, as after a reboot or a long silence. A leap of some seconds, as after a short silence, is
+    believed with the next stamp that goes on from it. Two that go on side by side are two
+    vehicles'.
 
     num_reboots: how often time began anew.
     """
@@ -31,6 +34,7 @@ class VehicleClock:
         self._two_at_ms: int | None = None
         self._problem: str | None = None
         self._newest_ms: int | None = None  # unwrapped
+        self._leapt_ms: int | None = None  # newest stamp, if it is one too far ahead
         self._other: tuple[int, int] | None = None  # first and newest stamp of another clock
         self._alternations_ms: deque[int] = deque(maxlen=_ALTERNATIONS)
         self._contents: dict[int, object] = {}  # of the last seconds, by stamp
@@ -58,6 +62,10 @@ class VehicleClock:
         ahead_ms = self.ahead_ms(stamp_ms)
         if abs(ahead_ms) > LATE_MS:
             return self._hear_other(self._newest_ms + ahead_ms, content)
+        leapt_ms, self._leapt_ms = self._leapt_ms, None
+        if ahead_ms > _LEAP_MS and not (leapt_ms and 0 < stamp_ms - leapt_ms <= _LEAP_MS):
+            self._leapt_ms = stamp_ms
+            return None
         is_late = ahead_ms <= 0
         is_foreign = ahead_ms < -_FOREIGN_MS and self._contents.get(stamp_ms) != content
         self._are_foreign.append(is_foreign)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import threading
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import virtual_time
 from fake_link import FakeLink
 from flights import (
     FASTER,
@@ -23,7 +25,7 @@ from flights import (
 from dronemon.errors import (
     PlannerError,
 )
-from dronemon.events import Decided, Progressed
+from dronemon.events import Decided, Noted, Progressed
 from dronemon.guard import Reason
 from dronemon.json_values import json_line
 from dronemon.planner import Snapshot, Waypoint
@@ -102,7 +104,8 @@ def test_a_bad_planner_brings_the_drone_home(flight, answer, words, reason):
 
 def test_what_json_cannot_say_of_a_decision_is_recorded_as_text(flight):
     flight.planner.answer = _gives(0.5, 0.6, details={"lock": threading.Lock(), "half": "\udc80"})
-    assert flight.fly().outcome == "completed"
+    result = flight.fly()
+    assert result.outcome == "completed", result.error
     told = next(e for e in flight.record.events if isinstance(e, Decided) and e.details)
     assert "lock" in asdict(told)["details"]["lock"]
     assert json.loads(json_line(told.details))["half"] == "\udc80"
@@ -126,6 +129,46 @@ def test_a_drone_that_leaves_its_height_returns(flight):
     result = flight.fly()
     assert Reason.OFF_PATH in flight.reasons
     comes_home(flight, result)
+
+
+def test_a_height_that_jumps_is_followed_not_chased(flight):
+    flown_m = []
+
+    def jump() -> None:
+        flight.link.vehicle.height_error_m = flight.link.jumped_down_m = -4.0
+        flight.link.num_resets = 1
+        flight.later(6.0, lambda: flown_m.append(-flight.link.vehicle.setpoint.position_ned_m[2]))
+
+    flight.when("patrol", lambda: flight.later(2.0, jump))
+    assert flight.fly().outcome == "completed"
+    assert flown_m == [pytest.approx(26.0)]
+
+
+def test_while_a_planner_hangs_the_drone_stays_at_its_waypoint_and_then_goes_on(flight):
+    choose, hung_s, num_asked, places_m = flight.planner.next_waypoint, 8.0, [], []
+
+    def slow(snapshot: Snapshot) -> Waypoint:
+        num_asked.append(flight.link.time_s)
+        if len(num_asked) == 4:
+            virtual_time.take(loops[0], hung_s)
+        return choose(snapshot)
+
+    def look() -> None:
+        if len(num_asked) == 4:
+            places_m.append((flight.link.time_s, flight.link.pose.position_ned_m))
+        flight.later(0.1, look)
+
+    loops: list[asyncio.AbstractEventLoop] = []
+    flight.planner.next_waypoint = slow
+    flight.when("patrol", lambda: (loops.append(asyncio.get_running_loop()), look()))
+    result = flight.fly()
+    assert result.outcome == "completed", result.error
+    told = next(e for e in flight.record.events if isinstance(e, Noted) and "slow" in e.kind)
+    held = [place_m for at_s, place_m in places_m if told.time_s < at_s < num_asked[3] + hung_s]
+    assert len(held) > 50
+    assert max(math.dist(place_m, held[-1]) for place_m in held[:20]) < 5.0  # it slows down
+    assert max(math.dist(place_m, held[-1]) for place_m in held[20:]) < 0.1
+    assert len(num_asked) > 5
 
 
 def test_an_estimator_that_falls_silent_brings_it_home(flight):

@@ -44,6 +44,12 @@ def pose(telemetry, time_s, **others):
     telemetry.take("ATTITUDE", attitude(time_s))
 
 
+def silent_until(telemetry, time_s):
+    """As after a silence, after which the first stamps are believed only with the next."""
+    for ago_s in (0.04, 0.02, 0.0):
+        pose(telemetry, time_s - ago_s)
+
+
 def posed(*times_s):
     telemetry = Telemetry()
     for time_s in times_s:

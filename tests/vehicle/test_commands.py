@@ -7,7 +7,7 @@ from air import Air
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import CommandRejected, CommandUnconfirmed, ControlTaken
-from dronemon.vehicle import Mode, Setpoint, mavsdk_link
+from dronemon.vehicle import Landed, Mode, Setpoint, mavsdk_link
 
 HERE = Setpoint(position_ned_m=(0.0, 0.0, 0.0), velocity_ned_m_s=(0.0, 0.0, 0.0), yaw_rad=0.0)
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -141,6 +141,47 @@ def test_motors_that_stop_end_the_take_off_at_once_and_leave_it_in_hold():
             await link.take_off(45.0)
         assert link.time_s - began_s < 5.0
         assert link.state.mode is Mode.HOLD
+
+    air.run(story)
+
+
+def test_what_a_pilot_has_armed_and_flies_is_not_sent_up():
+    air = flying(Mode.POSITION)
+    air.speakers[*VEHICLE, "landed"] = lambda: mavlink.MAVLink_extended_sys_state_message(0, 2)
+
+    async def story(link):
+        await link.next_pose()
+        await link.wait_until(lambda: link.state.landed is Landed.IN_AIR, "landed", 5.0)
+        with pytest.raises(ControlTaken, match="the pilot flies"):
+            await link.take_off(35.0)
+        assert TAKE_OFF not in air.commands()
+
+    air.run(story)
+
+
+def test_nothing_that_a_late_copy_of_our_request_needs_is_sent_while_others_fly():
+    air = flying()
+
+    def obey(number):
+        if number == SET_MODE:
+            air.beats(VEHICLE, Mode.OFFBOARD, is_armed=True)
+
+    air.on_command = obey
+
+    async def story(link):
+        await link.next_pose()
+        await link.start_offboard(HERE)
+        link.release()
+        await link.next_pose()
+        before, asked_s = air.num_told("SET_POSITION_TARGET_LOCAL_NED"), link.time_s
+        while link.time_s < asked_s + 9.0:
+            await link.send_setpoint(HERE)
+            await link.next_pose()
+        assert air.num_told("SET_POSITION_TARGET_LOCAL_NED") == before
+        while link.time_s < asked_s + 11.0:
+            await link.send_setpoint(HERE)
+            await link.next_pose()
+        assert air.num_told("SET_POSITION_TARGET_LOCAL_NED") > before
 
     air.run(story)
 

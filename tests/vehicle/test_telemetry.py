@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from messages import HEARTBEAT, HOME, PLACE, READY, attitude, pose, posed, position
+from messages import HEARTBEAT, HOME, PLACE, READY, attitude, pose, posed, position, silent_until
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import CameraError
@@ -107,12 +107,15 @@ def test_heartbeats_that_are_repeated_late_change_nothing():
         assert telemetry.state.is_armed == (now_s >= 106), now_s
 
 
-def test_a_state_that_comes_back_soon_is_believed_at_its_second_heartbeat():
+def test_a_state_that_comes_back_soon_is_believed_once_nothing_says_otherwise_for_a_while():
     telemetry = posed(100.0)
     beat(telemetry, custom_mode=4 << 16 | 3 << 24)
     beat(telemetry, custom_mode=6 << 16)
-    beat(telemetry, custom_mode=4 << 16 | 3 << 24)
-    assert (telemetry.state.mode, telemetry.state.is_doubted) == (Mode.OFFBOARD, True)
+    for now_s in (101.0, 102.0, 103.0):
+        pose(telemetry, now_s)
+        beat(telemetry, custom_mode=4 << 16 | 3 << 24)
+        assert (telemetry.state.mode, telemetry.state.is_doubted) == (Mode.OFFBOARD, True)
+    pose(telemetry, 104.0)
     beat(telemetry, custom_mode=4 << 16 | 3 << 24)
     assert (telemetry.state.mode, telemetry.state.is_doubted) == (Mode.HOLD, False)
     beat(telemetry, **DISARMED)
@@ -120,9 +123,25 @@ def test_a_state_that_comes_back_soon_is_believed_at_its_second_heartbeat():
     assert not telemetry.state.is_armed
     beat(telemetry)
     assert not telemetry.state.is_armed
-    pose(telemetry, 110.0)
+    silent_until(telemetry, 109.0)
+    silent_until(telemetry, 114.5)
     beat(telemetry)
     assert telemetry.state.is_armed
+
+
+def test_a_late_word_of_the_ground_lands_nothing():
+    telemetry = posed(100.0)
+    for state in (1, 3, 2, 1, 2, 1, 1, 2):  # on the ground, taking off, in the air
+        telemetry.take("EXTENDED_SYS_STATE", {"landed_state": state})
+    assert telemetry.state.landed is Landed.IN_AIR
+
+
+def test_how_far_down_the_estimate_jumped_is_told():
+    telemetry = posed(100.0)
+    for step, z in enumerate((-3.0, -7.0, -7.0, -4.5), 1):
+        pose(telemetry, 100.0 + 0.02 * step, z=z)
+    assert telemetry.state.num_resets == 2
+    assert telemetry.state.jumped_down_m == pytest.approx(-1.5)
 
 
 def test_slow_state_is_read():
@@ -170,8 +189,8 @@ def test_what_is_asked_before_a_take_off_is_read():
     telemetry.take("ESTIMATOR_STATUS", {"flags": 63 - 1 + mavlink.ESTIMATOR_GPS_GLITCH})
     assert telemetry.state.estimate_doubts == ("no attitude", "a GPS glitch")
     assert telemetry.state.num_unreadable == 0
-    pose(telemetry, 109.0)
-    pose(telemetry, 110.5)
+    silent_until(telemetry, 109.0)
+    silent_until(telemetry, 110.5)
     assert (telemetry.state.gps, telemetry.state.remote_id) == (None, None)
     assert not telemetry.state.has_sticks
 
@@ -196,9 +215,9 @@ def test_what_is_not_heard_for_ten_seconds_is_not_trusted():
     for name, fields in READY.items():
         telemetry.take(name, fields)
     telemetry.take("EXTENDED_SYS_STATE", {"landed_state": mavlink.MAV_LANDED_STATE_ON_GROUND})
-    pose(telemetry, 109.0)
+    silent_until(telemetry, 109.0)
     assert telemetry.state.landed is Landed.ON_GROUND
-    pose(telemetry, 110.5)
+    silent_until(telemetry, 110.5)
     state = telemetry.state
     assert state.landed is Landed.UNKNOWN
     assert state.battery is None
@@ -222,13 +241,13 @@ def test_where_the_estimator_is_silent_other_signs_say_whether_the_position_is_g
     telemetry = posed(100.0)
     flags = mavlink.ESTIMATOR_POS_HORIZ_ABS if was_good else mavlink.ESTIMATOR_CONST_POS_MODE
     telemetry.take("ESTIMATOR_STATUS", {"flags": flags})
-    pose(telemetry, place_s)
+    silent_until(telemetry, place_s)
     telemetry.take("GLOBAL_POSITION_INT", PLACE)
-    pose(telemetry, 109.0)
+    silent_until(telemetry, 109.0)
     telemetry.take("GPS_RAW_INT", gps)
     assert telemetry.state.is_position_good == was_good
     assert telemetry.state.is_estimate_heard
-    pose(telemetry, 110.5)
+    silent_until(telemetry, 110.5)
     assert telemetry.state.is_position_good == is_good
     assert not telemetry.state.is_estimate_heard
 

@@ -53,6 +53,21 @@ def test_a_single_stamp_from_elsewhere_is_dropped():
     assert clock.pop_problem() is None
 
 
+@pytest.mark.parametrize("ahead_ms", [2_000, 8_000, 9_900])
+def test_a_single_stamp_from_the_future_takes_nothing_away(ahead_ms):
+    clock = VehicleClock()
+    heard(clock, stamps(100_000, 5_000))
+    assert heard(clock, [105_000 + ahead_ms]) == []
+    assert len(heard(clock, stamps(105_000, 10_000))) == 500
+    assert (clock.pop_problem(), clock.are_two) == (None, False)
+
+
+def test_after_a_short_silence_time_goes_on_with_the_second_stamp():
+    clock = VehicleClock()
+    heard(clock, [100_000])
+    assert heard(clock, stamps(106_000, 60)) == [106.02, 106.04]
+
+
 @pytest.mark.parametrize("before_ms", [100_000, 40_000])
 def test_a_reboot_is_believed_once_new_time_has_gone_on_for_a_second(before_ms):
     clock = VehicleClock()
