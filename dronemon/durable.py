@@ -6,7 +6,7 @@ import contextlib
 import os
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from errno import ETIMEDOUT
 from io import FileIO
 from pathlib import Path
@@ -14,65 +14,110 @@ from queue import SimpleQueue
 
 SILENT_DISK_S = 10.0
 """Wall time for a line to get to the disk."""
+_Item = tuple[Path, bytes] | threading.Event | None
+"""A line for a file; what is set once all before it is on disk; the end."""
 
 
 class LineWriter:
-    """Adds lines to files, each synced, in a thread of its own: a disk may take its time.
+    """Adds lines to files: one thread writes them, another syncs them, as a disk may take its time.
 
-    A last line that a crash has cut short is taken away first.
-    num_lines: handed over; num_lost: could not be written whole, and were taken back.
+    What is written outlives this program, also while the disk is busy with what was before; what is
+    synced outlives the machine. A last line that a crash has cut short is taken away first.
+    num_lines: handed over
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        self.num_lines = self.num_lost = 0
+        self.num_lines = 0
         self._files = {path: _open_whole(path) for path in paths}
-        self._queue = SimpleQueue[tuple[Path, bytes] | threading.Event | None]()
-        self._failure: OSError | None = None
-        self._busy_since: float | None = None
-        self._thread = threading.Thread(target=self._work, name="lines", daemon=True)
-        self._thread.start()
+        self._syncing = _Stage("lines to disk", self._sync, self._done)
+        self._writing = _Stage("lines", self._write, self._syncing.put)
+
+    @property
+    def num_lost(self) -> int:
+        """Lines that could not be written whole, and were taken back, or could not be synced."""
+        return self._writing.num_failed + self._syncing.num_failed
 
     def add(self, path: Path, line: bytes) -> None:
         """Hand over a line for one of the files."""
         self.num_lines += 1
-        self._queue.put((path, line))
+        self._writing.put((path, line))
 
     def check(self) -> None:
-        """Raises OSError, with its file's name: a line was lost, or is not written for too long."""
+        """Raises OSError, with its file's name: a line was lost, or is not on disk for too long."""
+        self._writing.check()
+        self._syncing.check()
+
+    def flush(self) -> None:
+        """Wait until all handed over so far is on disk. Raises OSError as `check` does."""
+        synced = threading.Event()
+        self._writing.put(synced)
+        synced.wait(SILENT_DISK_S)
+        self.check()
+
+    def close(self) -> None:
+        """Write what was handed over, if the disk takes it, and close the files."""
+        self._writing.put(None)
+        self._syncing.thread.join(SILENT_DISK_S)
+
+    def _write(self, path: Path, line: bytes) -> None:
+        _append(self._files[path], line)
+
+    def _sync(self, path: Path, _: bytes) -> None:
+        os.fsync(self._files[path])
+
+    def _done(self, item: _Item) -> None:
+        if isinstance(item, threading.Event):
+            item.set()
+        elif item is None:
+            for file in self._files.values():
+                file.close()
+
+
+class _Stage:
+    """Takes one step with each line, in order, in a thread of its own, and hands it on.
+
+    An event is handed on alone; None, too, and ends it.
+    """
+
+    def __init__(
+        self, name: str, step: Callable[[Path, bytes], None], hand_on: Callable[[_Item], None]
+    ) -> None:
+        self.num_failed = 0
+        self._step, self._hand_on = step, hand_on
+        self._queue = SimpleQueue[_Item]()
+        self.put = self._queue.put
+        self._failure: OSError | None = None
+        self._busy_since: float | None = None
+        self.thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self.thread.start()
+
+    def check(self) -> None:
+        """Raises OSError: a line failed, or takes too long."""
         since, failure, self._failure = self._busy_since, self._failure, None
         if failure is not None:
             raise failure
         if since is not None and time.monotonic() > since + SILENT_DISK_S:
             raise OSError(ETIMEDOUT, f"its disk takes nothing for {SILENT_DISK_S:g} s")
 
-    def flush(self) -> None:
-        """Wait until all handed over so far is written. Raises OSError as `check` does."""
-        written = threading.Event()
-        self._queue.put(written)
-        written.wait(SILENT_DISK_S)
-        self.check()
-
-    def close(self) -> None:
-        """Write what was handed over, if the disk takes it, and close the files."""
-        self._queue.put(None)
-        self._thread.join(SILENT_DISK_S)
-
     def _work(self) -> None:
-        while (item := self._queue.get()) is not None:
-            if isinstance(item, threading.Event):
-                item.set()
-                continue
-            path, line = item
-            self._busy_since = time.monotonic()
-            try:
-                _append(self._files[path], line)
-            except OSError as exc:
-                self.num_lost += 1
-                exc.filename = path
-                self._failure = exc
+        item: _Item = threading.Event()
+        while item is not None:
+            item = self._queue.get()
+            if not isinstance(item, tuple) or self._succeeds(*item):
+                self._hand_on(item)
+
+    def _succeeds(self, path: Path, line: bytes) -> bool:
+        self._busy_since = time.monotonic()
+        try:
+            self._step(path, line)
+        except OSError as exc:
+            self.num_failed += 1
+            exc.filename = path
+            self._failure = exc
+            return False
+        finally:
             self._busy_since = None
-        for file in self._files.values():
-            file.close()
+        return True
 
 
 def _open_whole(path: Path) -> FileIO:
@@ -84,11 +129,10 @@ def _open_whole(path: Path) -> FileIO:
 
 
 def _append(file: FileIO, line: bytes) -> None:
-    """Add one whole, synced line, or nothing and raise OSError."""
+    """Add one whole line, or nothing and raise OSError."""
     end = file.tell()
     try:
         write_all(file, line)
-        os.fsync(file)
     except OSError:
         with contextlib.suppress(OSError):
             file.truncate(end)

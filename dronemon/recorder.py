@@ -9,8 +9,9 @@
     summary.json         `"outcome": "in flight"` from the start, replaced as a whole at the end
 
 Each line is one write and one fsync (0.2 ms median on a solid-state disk, half a second on one that
-is busy), in a thread of its own so that no setpoint waits. A line that cannot be written whole is
-taken back. While a program flies a run it holds a lock on mission.yaml.
+is busy), each in a thread of its own: no setpoint waits for the disk, and no write for an fsync. A
+line that cannot be written whole is taken back. While a program flies a run it holds a lock on
+mission.yaml.
 """
 
 from __future__ import annotations

@@ -1,10 +1,13 @@
 import json
+import os
 import resource
 import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import asdict
+from errno import EIO
 from pathlib import Path
 
 import numpy as np
@@ -243,6 +246,59 @@ def test_a_killed_run_is_readable_to_the_last_line_reported(tmp_path: Path) -> N
     numbers = [event["number"] for event in folder.events()]
     assert numbers[: reported[-1] + 1] == list(range(reported[-1] + 1))
     assert folder.summary()["outcome"] == "in flight"
+
+
+HUNG_WRITER = """
+import os, sys, threading
+from pathlib import Path
+from dronemon.events import Noted
+from dronemon.mission import Mission
+from dronemon.mission.schema import Target
+from dronemon.recorder import RunRecorder
+mission = Mission(targets=(Target(name="a", appearance="cow"),))
+run = RunRecorder.create(mission, root=Path(sys.argv[1]))
+hang = threading.Event().wait
+os.fsync = lambda _: hang()
+for number in range(4):
+    run.take(Noted(time_s=float(number), kind="tick", text="", level="INFO", fields={}))
+print(run.folder.path, flush=True)
+hang()
+"""
+
+
+def test_lines_outlive_a_program_that_is_killed_while_the_disk_is_busy(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", HUNG_WRITER, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parent.parent,
+    ) as child:
+        assert child.stdout is not None
+        try:
+            folder = RunFolder(path=Path(child.stdout.readline().strip()))
+            deadline = time.monotonic() + 10.0
+            while len(list(folder.events())) < 4 and time.monotonic() < deadline:
+                time.sleep(0.01)
+        finally:
+            child.kill()
+    assert [event["time_s"] for event in folder.events()] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_line_that_cannot_be_synced_is_told_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fsync(_: object) -> None:
+        raise OSError(EIO, os.strerror(EIO))
+
+    with create(tmp_path) as run:
+        monkeypatch.setattr("os.fsync", fsync)
+        run.take(noted("tick", ""))
+        with pytest.raises(RecordError, match=r"events\.jsonl: Input/output error"):
+            run.flush()
+        monkeypatch.undo()
+        run.take(noted("tock", ""))
+        run.flush()
+        assert run.lost_lines == 1
 
 
 def test_a_last_line_cut_short_is_left_out_and_a_damaged_middle_is_an_error(tmp_path: Path) -> None:
