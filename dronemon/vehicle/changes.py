@@ -67,7 +67,8 @@ class Changes:
         self.claim()
         self._refuse_if_armed()
         present = await self._link.read_parameters(settings)
-        for name in settings:
+        for name, value in settings.items():
+            as_float32(value)  # raises before anything is kept
             if not math.isfinite(present.get(name, math.nan)):
                 raise CommandRejected(
                     f"{name}: the vehicle has no such parameter, or it is a whole number below 0, "
@@ -76,7 +77,7 @@ class Changes:
                 )
         kept = _load(self._path)
         new = {
-            name: {"old": kept.get(name, {"old": present[name]})["old"], "new": as_float32(value)}
+            name: {"old": kept.get(name, {"old": present[name]})["old"], "new": value}
             for name, value in settings.items()
         }
         _save(self._path, kept | new)
@@ -130,7 +131,7 @@ class Changes:
         for name, value in kept.items():
             if name not in present:
                 self._tell(f"{name} is left: the vehicle does not have it any more")
-            elif present[name] == value["new"]:
+            elif present[name] in (value["new"], as_float32(value["new"])):  # whole, or not
                 await self._link.write_parameter(name, value["old"])
                 self._tell(f"{name} is {value['old']:g} again, as before it was changed for us")
             elif present[name] != value["old"]:

@@ -64,10 +64,11 @@ class Parameters:
         present = (await self.read([name])).get(name)
         if present is None:
             raise CommandRejected(f"the vehicle has no parameter {name}")
+        kind = self._heard[name][0]
+        reads = as_float32(value) if kind == _REAL32 else value
         for _ in range(_TRIES):
-            if present == value or present == as_float32(value):
+            if present == reads:
                 return
-            kind = self._heard[name][0]
             await self._send(
                 "PARAM_SET", param_id=name, param_type=kind, param_value=encoded(name, kind, value)
             )

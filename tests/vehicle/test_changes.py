@@ -9,9 +9,10 @@ import pytest
 import virtual_time
 from fake_link import FakeLink
 
-from dronemon.errors import CommandRejected, RecordError
+from dronemon.errors import CommandRejected, OptionError, RecordError
 from dronemon.vehicle.changes import Changes, state_folder
 from dronemon.vehicle.fence_items import FenceItem, polygon_items
+from dronemon.vehicle.parameters import as_float32
 
 
 @pytest.fixture
@@ -72,6 +73,26 @@ def test_the_oldest_value_is_put_back_after_two_crashes(after):
 
     after(put_back)
     assert after.vehicle.parameters["GF_ACTION"] == 3.0
+
+
+@pytest.mark.parametrize(("asked", "reads"), [(2.0**24 + 1, 2.0**24 + 1), (0.1, as_float32(0.1))])
+def test_a_whole_number_and_one_that_is_not_are_known_again_as_they_read(after, asked, reads):
+    async def story(link: FakeLink, changes: Changes) -> None:
+        await changes.make({"GF_ACTION": asked})
+        link.vehicle.parameters["GF_ACTION"] = reads
+        await changes.put_back()
+
+    after(story)
+    assert after.vehicle.parameters["GF_ACTION"] == 3.0
+
+
+def test_what_no_parameter_can_hold_is_refused_before_anything_is_kept(after):
+    async def story(_: FakeLink, changes: Changes) -> None:
+        with pytest.raises(OptionError, match="more than a parameter can hold"):
+            await changes.make({"GF_ACTION": 1e300})
+
+    after(story)
+    assert list(state_folder().iterdir()) == []
 
 
 def test_what_somebody_changed_meanwhile_is_left(after):

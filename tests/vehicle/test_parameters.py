@@ -79,6 +79,13 @@ def test_a_value_is_set_and_read_back_though_answers_are_lost(name, value):
     assert "PARAM_SET" not in vehicle.sent
 
 
+def test_a_whole_number_is_set_exactly_where_a_float32_would_round_it():
+    vehicle = Vehicle()
+    for value in (2**24, 2**24 + 1):
+        vehicle.write("A_NUMBER", value)
+        assert vehicle.values["A_NUMBER"] == (INT32, value)
+
+
 def test_a_value_that_the_vehicle_does_not_take_is_an_error():
     vehicle = Vehicle()
     vehicle.is_stubborn = True
