@@ -162,7 +162,7 @@ def preflight_command(
 
     request = Request(follow=follow, settings=confirmed, out=out)
     findings = asyncio.run(assemble_and_inspect(checked, request, _tell_findings))
-    if error := refusal(findings, str(checked.path)):
+    if error := refusal(findings):
         raise error
     warnings = len(against(findings, Verdict.WARNING))
     told = {0: "", 1: ", with 1 warning"}.get(warnings, f", with {warnings} warnings")

@@ -56,7 +56,7 @@ async def ask(link: VehicleLink) -> str:
         interrupts=Interrupts(),
     )
     findings = await find(setup, Sight(wait_s=0.1, age_s=0.1), frame=None)
-    return str(refusal(findings, str(MISSION)) or "")
+    return str(refusal(findings) or "")
 
 
 async def refused(url: str) -> list[str]:

@@ -221,8 +221,7 @@ class _Flight:
         """Tell what is not as it should be. Raises VehicleError where it must not fly so."""
         setup = self._setup
         findings = await find(setup, sight, frame=frame)
-        what = f"--resume {setup.folder}" if setup.history else str(setup.file.path)
-        if error := refusal(findings, what):
+        if error := refusal(findings, setup.folder if setup.history else None):
             raise error
         for finding in against(findings, Verdict.WARNING):
             self._events.note("preflight", str(finding), level="WARN")

@@ -8,6 +8,7 @@ import math
 import shutil
 from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 from dronemon.camera import check_picture
 from dronemon.errors import CameraError, DronemonError, LinkLost, VehicleError
@@ -158,17 +159,19 @@ async def find(
     return judge(facts, mission)
 
 
-def refusal(findings: Sequence[Finding], what: str) -> VehicleError | None:
-    """Why the flight must not begin, and the command that mends it; None if it may.
+def refusal(findings: Sequence[Finding], run: Path | None = None) -> VehicleError | None:
+    """Why the flight must not begin, and the options that mend it; None if it may.
 
-    what: is flown, as `dronemon fly` is given it
+    run: the folder of a run that goes on
     """
     reasons = against(findings, Verdict.NO_GO)
     if not reasons:
         return None
-    options = mending_options(reasons)
-    mend = f"\nfor this flight: dronemon fly {what} {options}" if options else ""
-    return VehicleError("no-go: " + "; ".join(map(str, reasons)) + mend)
+    what = "no-go: " + "; ".join(map(str, reasons))
+    if options := mending_options(reasons):
+        going_on = f"--resume {run} " if run else ""
+        what += f"\nfor one flight, the same command with: {going_on}{options}"
+    return VehicleError(what)
 
 
 async def _problem(step: Awaitable[object]) -> str | None:

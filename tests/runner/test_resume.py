@@ -346,7 +346,7 @@ def test_another_vehicle_in_the_air_is_not_taken_over(story):
 def test_what_mends_a_refusal_goes_on_with_the_run(story):
     story.crash_after(12)
     refused = story.fly(_on_the_ground(50.0, COM_OBL_RC_ACT=6.0))
-    assert f"dronemon fly --resume {story.path} --set COM_OBL_RC_ACT=" in str(refused.error)
+    assert f"same command with: --resume {story.path} --set COM_OBL_RC_ACT=" in str(refused.error)
 
 
 def test_statistics_count_both_parts(story):
