@@ -163,7 +163,7 @@ class Changes:
         hardware = self._link.state.hardware
         if hardware is None:
             raise CommandRejected(
-                "the vehicle does not say what its board is called (AUTOPILOT_VERSION): what is "
+                "the vehicle's board does not say its own number (AUTOPILOT_VERSION): what is "
                 "changed could not be put back after a crash; set it with a ground station"
             )
         return state_folder() / f"{hardware}.json"

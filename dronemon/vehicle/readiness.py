@@ -15,6 +15,10 @@ _LEAST_POSES_HZ = 5.0
 _LONGEST_GAP_S = 1.0
 _LONGEST_ROUND_TRIP_S = 1.0
 _FURTHEST_M = 10_000.0
+_NO_NAME = (
+    "its board does not say its own number (AUTOPILOT_VERSION, uid2 or uid), by which is kept what "
+    "a flight changes on it: give it firmware that does, such as PX4 v1.17's"
+)
 
 
 def problems(telemetry: Telemetry, round_trips_s: Sequence[float]) -> list[str]:
@@ -26,7 +30,7 @@ def problems(telemetry: Telemetry, round_trips_s: Sequence[float]) -> list[str]:
     checks = {
         "arming checks not passed": state.is_armable or state.is_armed,
         "no good absolute position (GPS?)": state.is_position_good,
-        "no word of what its board is called (AUTOPILOT_VERSION)": state.hardware is not None,
+        _NO_NAME: state.hardware is not None,
     }
     return [
         *(problem for problem, is_passed in checks.items() if not is_passed),

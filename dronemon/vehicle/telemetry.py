@@ -280,10 +280,11 @@ class Telemetry:
         )
 
     def _on_version(self, fields: dict[str, Any]) -> None:
-        """The board's long number, or its short one where it has no long one."""
+        """The board's long number, or its short one where it has no long one; zeros are no name."""
         long_id = bytes(_whole(byte, 0, 255) for byte in fields["uid2"])
         short_id = _whole(fields["uid"], 0, 2**64 - 1).to_bytes(8, "big")
-        self._update(hardware=(long_id if any(long_id) else short_id).hex())
+        if any(name := long_id if any(long_id) else short_id):
+            self._update(hardware=name.hex())
 
     def _on_remote_id(self, fields: dict[str, Any]) -> None:
         is_good = fields["status"] == mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM

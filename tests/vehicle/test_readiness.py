@@ -9,6 +9,10 @@ from dronemon.vehicle.readiness import problems
 
 QUICK = [0.02, 0.4, 0.02]
 CHECKS_FAIL = READY["SYS_STATUS"] | {"onboard_control_sensors_health": 0}
+NO_NUMBER = (
+    "its board does not say its own number (AUTOPILOT_VERSION, uid2 or uid), by which is kept what "
+    "a flight changes on it: give it firmware that does, such as PX4 v1.17's"
+)
 
 
 def test_nothing_is_against_a_vehicle_that_is_ready():
@@ -22,10 +26,8 @@ def test_nothing_is_against_a_vehicle_that_is_ready():
         ({"ESTIMATOR_STATUS": {"flags": 0}}, "no good absolute position (GPS?)"),
         ({"ESTIMATOR_STATUS": None}, "no good absolute position (GPS?)"),
         ({"HOME_POSITION": None}, "no home position"),
-        (
-            {"AUTOPILOT_VERSION": None},
-            "no word of what its board is called (AUTOPILOT_VERSION)",
-        ),
+        ({"AUTOPILOT_VERSION": None}, NO_NUMBER),
+        ({"AUTOPILOT_VERSION": {"uid": 0, "uid2": [0] * 18}}, NO_NUMBER),
         ({"GPS_GLOBAL_ORIGIN": None}, "no origin of the local frame"),
         ({"GLOBAL_POSITION_INT": None}, "no global position"),
         ({"GLOBAL_POSITION_INT": PLACE | {"lat": 0, "lon": 0}}, "no global position"),

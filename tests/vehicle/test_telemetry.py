@@ -175,6 +175,8 @@ def test_what_is_asked_before_a_take_off_is_read():
     assert telemetry.state.gps == GpsFix(is_3d=True, num_satellites=9, dilution=0.7)
     telemetry.take("GPS_RAW_INT", {"fix_type": 1, "eph": 65535, "satellites_visible": 255})
     assert telemetry.state.gps == GpsFix(is_3d=False, num_satellites=None, dilution=None)
+    telemetry.take("AUTOPILOT_VERSION", {"uid": 0, "uid2": [0] * 18})
+    assert telemetry.state.hardware is None
     telemetry.take("AUTOPILOT_VERSION", {"uid": 17, "uid2": [0] * 18})
     assert telemetry.state.hardware == "0000000000000011"
     telemetry.take("AUTOPILOT_VERSION", {"uid": 17, "uid2": [1] * 18})
