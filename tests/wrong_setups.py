@@ -27,6 +27,7 @@ WRONG = (
     ({"NAV_RCL_ACT": 6}, "NAV_RCL_ACT=2"),
     ({"NAV_RCL_ACT": 1, "COM_LOW_BAT_ACT": 0}, "COM_OBL_RC_ACT=3"),
     ({"NAV_DLL_ACT": 5}, "NAV_DLL_ACT=0"),
+    ({"NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 0}, "COM_LOW_BAT_ACT=3"),
     ({"RTL_RETURN_ALT": 900.0}, "RTL_RETURN_ALT=45"),
     ({"RTL_LAND_DELAY": -1.0}, "RTL_LAND_DELAY=0"),
     ({"GF_ACTION": 0}, "GF_ACTION=3"),

@@ -237,10 +237,15 @@ def on_battery_levels(facts: Facts, mission: Mission) -> Judgement:
     p, ours = facts.parameters, mission.flight.reserve_battery
     action = p["COM_LOW_BAT_ACT"]
     if action not in _ENDS_A_HOLD:
-        return warn(
-            "at a critical battery the autopilot only warns: nobody brings it home if this "
-            "program is gone",
-            COM_LOW_BAT_ACT=3.0,
+        what = "at a critical battery the autopilot only warns"
+        mends = {"COM_LOW_BAT_ACT": 3.0}
+        link = p.get("NAV_DLL_ACT", math.nan)
+        if _deed(_ON_LOSS, link) in {_Deed.RETURN, _Deed.LAND}:
+            return warn(f"{what}: nobody brings it home if this program is gone", **mends)
+        return no(
+            f"{what}, and with NAV_DLL_ACT={link:g} nothing else brings it down: if this program "
+            "is gone in the climb, it hovers until it falls",
+            **mends,
         )
     level = max(p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"])
     if not level < ours:

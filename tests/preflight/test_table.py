@@ -75,8 +75,12 @@ def test_no_height_of_the_return_mends_an_area_too_far_away():
 
 
 @pytest.mark.parametrize("has_sticks", [True, False])
-def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
+def test_the_autopilots_own_defaults_may_fly_once_a_low_battery_ends_a_hover(has_sticks: bool):
     facts = replace(FACTS, parameters=BARE, has_sticks=has_sticks)
+    (refused,) = against(judge(facts, MISSION), NO_GO)
+    assert refused.name == BATTERY
+    assert mending_options([refused]) == "--set COM_LOW_BAT_ACT=3"
+    facts = replace(facts, parameters=BARE | refused.judgement.mends)
     assert against(judge(facts, MISSION), NO_GO) == []
 
 
@@ -118,7 +122,9 @@ def test_the_autopilots_own_defaults_may_fly(has_sticks: bool):
         (FENCE, {"GF_MAX_HOR_DIST": 142}, GO),
         (FENCE, {"GF_MAX_VER_DIST": 45}, NO_GO),
         (FENCE, {"GF_MAX_HOR_DIST": 141, "GF_ACTION": 0}, NO_GO),
-        (BATTERY, {"COM_LOW_BAT_ACT": 0}, WARNING),
+        (BATTERY, {"COM_LOW_BAT_ACT": 0}, NO_GO),
+        *((BATTERY, {"COM_LOW_BAT_ACT": 0, "NAV_DLL_ACT": n}, NO_GO) for n in (1, 5, 6, 7)),
+        *((BATTERY, {"COM_LOW_BAT_ACT": 0, "NAV_DLL_ACT": n}, WARNING) for n in (2, 3)),
         (BATTERY, {"COM_LOW_BAT_ACT": 2}, WARNING),
         (BATTERY, {"BAT_CRIT_THR": 0.25, "BAT_LOW_THR": 0.3}, NO_GO),
         (BATTERY, {"BAT_EMERGEN_THR": 0.3, "BAT_LOW_THR": 0.3}, NO_GO),
