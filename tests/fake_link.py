@@ -24,7 +24,7 @@ from dronemon.errors import (
     LinkTimeout,
     VehicleError,
 )
-from dronemon.frames import GeoPoint
+from dronemon.frames import GeoPoint, ned_to_geo
 from dronemon.mission.faults import parse_fault
 from dronemon.types import GpsFix, Picture, Pose, Vector3
 from dronemon.vehicle import Landed, Mode, Setpoint, StatusText, VehicleState
@@ -243,6 +243,7 @@ class FakeLink:
                 "mode": vehicle.mode,
                 "is_armed": vehicle.is_armed,
                 "is_failsafe": vehicle.is_failsafe,
+                "place": ned_to_geo(np.array(vehicle.position), self.origin),
             }
             self._motors.take(
                 is_running=vehicle.is_armed and vehicle.mode is not Mode.TERMINATION,
@@ -270,7 +271,6 @@ class FakeLink:
             hardware=self.hardware,
             home=ORIGIN,
             origin=self.origin,
-            place=ORIGIN,
         )
         self._poses.append(
             Pose(

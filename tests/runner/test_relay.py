@@ -8,15 +8,17 @@ import threading
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import virtual_time
-from fake_link import FakeCamera, FakeLink
+from fake_link import ORIGIN, FakeCamera, FakeLink
 from flights import Blind, Listener, Shuttle
 
 from dronemon.errors import RecordError, VehicleError
-from dronemon.events import Noted
+from dronemon.events import Noted, Progressed
+from dronemon.frames import ned_to_geo
 from dronemon.mission import Mission, load_mission
 from dronemon.mission.checks import battery_problem
 from dronemon.recorder import LINE_FILES, RunFolder, RunRecorder
@@ -27,6 +29,8 @@ from dronemon.runner.status import ask_to_go_on, status
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import Measurement
+from dronemon.vehicle import Mode, VehicleState
+from dronemon.vehicle.changes import Changes, ChangesTaken
 
 MISSION = """
 name: small
@@ -154,6 +158,98 @@ def test_a_vehicle_that_is_not_at_rest_is_not_taken(tmp_path):
 
     wait.on_link = take
     assert not wait.goes_on()
+
+
+def _fly_off(wait: Wait) -> None:
+    """With a fresh battery in, a pilot flies it away, and lands it there a minute later."""
+    vehicle = wait.links[-1].vehicle
+    vehicle.battery, vehicle.is_armed, vehicle.intent = 0.9, True, Mode.POSITION
+    vehicle.position = [80.0, 0.0, -10.0]
+
+    def land() -> None:
+        vehicle.is_armed, vehicle.position = False, [80.0, 0.0, 0.0]
+
+    asyncio.get_running_loop().call_later(60.0, land)
+
+
+def _arm_for_a_moment(wait: Wait) -> None:
+    vehicle = wait.links[-1].vehicle
+    vehicle.is_armed = True
+    asyncio.get_running_loop().call_later(3.0, setattr, vehicle, "is_armed", False)
+    asyncio.get_running_loop().call_later(60.0, fresh, wait)
+
+
+def _carry_off(wait: Wait) -> None:
+    wait.links[-1].vehicle.position[1] = 30.0
+    fresh(wait)
+
+
+@pytest.mark.parametrize("act", [_fly_off, _arm_for_a_moment, _carry_off])
+@pytest.mark.parametrize("has_word", [False, True])
+def test_what_somebody_flew_or_moved_meanwhile_takes_off_at_a_persons_word(tmp_path, act, has_word):
+    wait = Wait(tmp_path)
+
+    def do(wait: Wait) -> None:
+        act(wait)
+        request = wait.folder.path / REQUEST_FILE
+        if has_word:
+            asyncio.get_running_loop().call_later(150.0, request.touch)
+
+    assert wait.goes_on(do) == has_word
+    assert wait.watch.texts("was flown or moved meanwhile") == 1
+    assert "takes off" in wait.watch.text("waiting")
+
+
+def test_where_it_stands_is_told_by_the_globe_not_by_a_frame_that_begins_anew(tmp_path):
+    def carried_m(north_m: float, frame_m: float, folder: Path) -> Wait:
+        wait = Wait(_made(folder))
+
+        def prepare(link: FakeLink) -> None:
+            link.origin = ned_to_geo(np.array([frame_m, 0.0, 0.0]), ORIGIN)
+            link.vehicle.battery, link.vehicle.position = 0.9, [north_m - frame_m, 0.0, 0.0]
+
+        wait.on_link = prepare
+        return wait
+
+    assert carried_m(3.0, 500.0, tmp_path / "drift").goes_on()
+    assert not carried_m(500.0, 500.0, tmp_path / "away").goes_on()
+
+
+def test_as_long_as_its_place_is_not_known_it_stays_on_the_ground(tmp_path):
+    wait = Wait(tmp_path)
+
+    def swap(link: FakeLink) -> None:
+        link.vehicle.battery, link.vehicle.is_position_good = 0.9, False
+
+    wait.on_link = swap
+    assert wait.goes_on(lambda wait: setattr(wait.links[-1].vehicle, "is_position_good", True))
+    assert wait.took_s > 60.0
+    phases = {event.phase for event in wait.watch.events if isinstance(event, Progressed)}
+    assert "waiting for a fresh battery, and a good position" in phases
+
+
+def test_other_programs_are_kept_from_it_during_the_wait(tmp_path):
+    wait, refused = Wait(tmp_path), []
+
+    def claim(wait: Wait) -> None:
+        with Changes(wait.links[-1], print) as second, pytest.raises(ChangesTaken) as caught:
+            second.claim()
+        refused.append(caught)
+        fresh(wait)
+
+    assert wait.goes_on(claim)
+    assert len(refused) == 1
+    with Changes(wait.links[-1], print) as after:
+        after.claim()
+
+
+def test_a_vehicle_that_another_program_has_is_not_waited_for(tmp_path):
+    wait = Wait(tmp_path)
+    with Changes(SimpleNamespace(state=VehicleState(hardware="fake")), print) as other:
+        other.claim()
+        assert not wait.goes_on(fresh)
+    assert wait.links == []
+    assert wait.watch.texts("another program flies or changes") == 1
 
 
 def test_ctrl_c_ends_the_wait_at_once(tmp_path):
