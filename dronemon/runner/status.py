@@ -73,25 +73,28 @@ def ask_to_go_on(folder: RunFolder) -> None:
         raise RecordError(
             f"no program flies {folder.path}; go on with it: dronemon fly --resume {folder.path}"
         )
-    with understanding(folder):
-        event = next(reversed(_of_the_living(folder, folder.events())), None)
-        doing = f"{event['kind']}: {event['text']}" if event else "it has only begun"
-    if event is None or event["kind"] != WAITING:
+    events = _events_of_the_living(folder)
+    doing = _last_word(events) if events else "it has only begun"
+    if not events or events[-1]["kind"] != WAITING:
         raise RecordError(f"{folder.path} does not wait for a word: {doing}")
-    request = folder.path / REQUEST_FILE
+    request, num_before = folder.path / REQUEST_FILE, len(events)
     try:
         try:
             request.touch()
             give_up_s = time.monotonic() + _ANSWER_LIMIT_S
-            while request.exists() and time.monotonic() < give_up_s:
+            while time.monotonic() < give_up_s:
                 time.sleep(_LOOK_S)
-            if not request.exists():
-                return
+                events = _events_of_the_living(folder)
+                if any(event["kind"] == CHANGED for event in events[num_before:]):
+                    return
         finally:  # whoever leaves before an answer takes the word back
             request.unlink(missing_ok=True)
     except OSError as exc:
         raise RecordError(f"cannot write {request}: {exc.strerror}") from exc
-    raise RecordError(f"the program that flies {folder.path} did not answer; nothing was asked")
+    raise RecordError(
+        f"the program that flies {folder.path} does not say that it goes on, and is asked no more; "
+        f"its last word: {_last_word(events)}"
+    )
 
 
 def _program(folder: RunFolder) -> str:
@@ -101,6 +104,15 @@ def _program(folder: RunFolder) -> str:
     if outcome == IN_FLIGHT:
         return f"was killed, or crashed; go on: dronemon fly --resume {folder.path}"
     return f"ended: {outcome}"
+
+
+def _events_of_the_living(folder: RunFolder) -> list[dict[str, Any]]:
+    with understanding(folder):
+        return _of_the_living(folder, folder.events())
+
+
+def _last_word(events: Sequence[Mapping[str, Any]]) -> str:
+    return f"{events[-1]['kind']}: {events[-1]['text']}"
 
 
 def _of_the_living(folder: RunFolder, events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -441,6 +441,9 @@ class Flown:
         wait = Wait(folder)
         self.folder, self.mission = wait.folder, wait.mission
         self.recorder = RunRecorder.create(self.mission, out=wait.folder.path, needed_bytes=0)
+        self.note(kind)
+
+    def note(self, kind: str) -> None:
         self.recorder.take(Noted(time_s=3.0, kind=kind, text="so", level="INFO", fields={}))
         self.recorder.flush()
 
@@ -468,7 +471,9 @@ def test_what_the_program_before_did_is_not_told_as_the_living_ones(tmp_path):
             ask_to_go_on(flown.folder)
 
 
-def test_resume_reaches_the_program_or_leaves_no_word(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kinds", [["battery changed"], ["fresh battery", "waiting"], [], None])
+def test_resume_says_that_it_goes_on_where_it_does(tmp_path, monkeypatch, kinds):
+    """A word is also thrown away, with the battery that is out again, or not heard at all."""
     flown = Flown(tmp_path, "waiting")
     request = flown.folder.path / REQUEST_FILE
 
@@ -476,14 +481,18 @@ def test_resume_reaches_the_program_or_leaves_no_word(tmp_path, monkeypatch):
         while not request.exists():
             pass
         request.unlink()
+        for kind in kinds or []:
+            flown.note(kind)
 
-    program = threading.Thread(target=hear)
+    monkeypatch.setattr("dronemon.runner.status._ANSWER_LIMIT_S", 1.0)
+    program = threading.Thread(target=hear if kinds is not None else lambda: None)
     program.start()
-    ask_to_go_on(flown.folder)
-    program.join()
-    monkeypatch.setattr("dronemon.runner.status._ANSWER_LIMIT_S", 0.3)
-    with pytest.raises(RecordError, match="did not answer"):
+    if kinds == ["battery changed"]:
         ask_to_go_on(flown.folder)
+    else:
+        with pytest.raises(RecordError, match="its last word: waiting: so"):
+            ask_to_go_on(flown.folder)
+    program.join()
     assert not request.exists()
     flown.recorder.close()
 
@@ -504,8 +513,7 @@ def test_a_word_that_is_broken_off_is_taken_back(tmp_path, monkeypatch):
 @pytest.mark.parametrize("kind", ["battery changed", "resuming"])
 def test_a_drone_that_is_about_to_take_off_is_not_told_as_waiting(tmp_path, kind):
     flown = Flown(tmp_path, "waiting")
-    flown.recorder.take(Noted(time_s=4.0, kind=kind, text="so", level="INFO", fields={}))
-    flown.recorder.flush()
+    flown.note(kind)
     assert status(flown.folder, flown.mission)["doing"] == "gets ready to go on"
     flown.recorder.close()
 
