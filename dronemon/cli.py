@@ -264,15 +264,18 @@ def _checked(context: typer.Context, mission: str | None = None) -> MissionFile:
 
 def _confirmed(texts: Iterable[str], is_unasked: bool) -> dict[str, float]:
     """Parameters to set, by name, each confirmed by a person."""
+    from dronemon.mission.scalars import number
+
     settings: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            settings[name] = float(value)
+            settings[name] = number(value)
         except ValueError:
             settings[name] = math.nan
         if not re.fullmatch("[A-Z][A-Z0-9_]{0,15}", name) or not math.isfinite(settings[name]):
-            raise OptionError(f"--set {text}: give NAME=VALUE, such as COM_OBL_RC_ACT=3")
+            example = "NAME=VALUE with a plain number, such as COM_OBL_RC_ACT=3"
+            raise OptionError(f"--set {text}: give {example}")
         if is_unasked:
             continue
         if not sys.stdin.isatty():

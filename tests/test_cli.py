@@ -284,6 +284,13 @@ def test_a_run_folder_is_not_flown_over(run, mission, tmp_path: Path):
     assert "already holds a run" in err
 
 
+@pytest.mark.parametrize("value", ["1_0", "010", "0x10", "nan", "1e999", " 1", "٣", ""])
+def test_a_parameter_is_set_to_what_a_mission_takes_as_a_number(run, mission, value: str):
+    code, _, err = run("preflight", "-m", mission(), "--set", f"GF_ACTION={value}", "--yes")
+    assert code == 2
+    assert "with a plain number, such as COM_OBL_RC_ACT=3" in err
+
+
 @pytest.mark.parametrize(("answer", "code"), [("n", 2), ("y", 3)])
 def test_a_parameter_is_set_once_a_person_says_so(mission, tmp_path: Path, answer: str, code: int):
     vehicle, follow = _silent_urls()

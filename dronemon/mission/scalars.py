@@ -19,12 +19,19 @@ class Dumper(yaml.SafeDumper):
 
 _FLOAT = "tag:yaml.org,2002:float"
 _NUMBERS = {"tag:yaml.org,2002:int", _FLOAT}
-_DECIMAL = re.compile(r"[-+]?(0|[1-9]\d*|\d+\.\d*|\.\d+|(\d+\.?\d*|\.\d+)[eE][-+]?\d+)")
+_DECIMAL = re.compile(r"[-+]?(0|[1-9]\d*|\d+\.\d*|\.\d+|(\d+\.?\d*|\.\d+)[eE][-+]?\d+)", re.A)
 _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 for _kind in (Loader, Dumper):
     _kind.add_implicit_resolver(_FLOAT, _EXPONENT, list("-+.0123456789"))
 _UNSEEN = {"Cc", "Cs", "Zl", "Zp"}
 """Unicode's control characters, surrogates, and separators of lines and paragraphs."""
+
+
+def number(text: str) -> float:
+    """The number that a text is in a mission file. Raises ValueError for what is refused there."""
+    if not _DECIMAL.fullmatch(text):
+        raise ValueError(f"{text!a} is no decimal number")
+    return float(text)
 
 
 def scalar_flaw(node: yaml.Node) -> str | None:
