@@ -181,6 +181,7 @@ class _Flight:
                 await link.wait_ready(limit_s)
                 await self._get_ready()
                 await link.next_heartbeat()
+            self._refuse_to_take_over()
             if self._is_flown_already():
                 self._supervisor.ask(is_horizon_flown=True)
 
@@ -196,6 +197,7 @@ class _Flight:
         ground = Ground(setup, self._events, self._changes, is_attached=self._is_attached)
         frame = await ground.lay_area()
         self._battery.parameters = await link.read_parameters(RETURN_PARAMETERS)
+        self._refuse_to_take_over()
         if not self._is_attached:
             await self._check_fitness(sight, frame)
         fence = await ground.lay_fence(frame)
@@ -216,6 +218,26 @@ class _Flight:
             roadmap=roadmap,
             start_au=start_au,
         )
+
+    def _refuse_to_take_over(self) -> None:
+        """Leave a vehicle in the air to its pilot, or to an autopilot that has to bring it down.
+
+        A failsafe's hold or return alone is how a program that was killed leaves it. Raises
+        VehicleError.
+        """
+        state, history, why = self._link.state, self._history, ""
+        if history is None or not self._is_attached:
+            return
+        self._battery.take()
+        if history.is_pilots:
+            why = "a pilot took control on this flight, and did not give it back"
+        elif state.mode is Mode.LAND and state.is_failsafe:
+            why = "a failsafe of the autopilot lands it"
+        elif state.mode in {Mode.RETURN, Mode.LAND} and self._battery.is_low:
+            why = f"it is on its way down with what its battery has ({self._battery})"
+        if why:
+            rest = "it is left as it is, and nothing was commanded; wait until it is down"
+            raise VehicleError(f"{why}: {rest}, then resume")
 
     async def _check_fitness(self, sight: Sight, frame: AreaFrame) -> None:
         """Tell what is not as it should be. Raises VehicleError where it must not fly so."""

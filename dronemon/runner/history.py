@@ -24,6 +24,9 @@ from dronemon.types import FloatArray, Measurement, Vector3
 
 GOING_ON = "resuming"
 """Kind of the first event of every flight but a run's first: the vehicle's clock may be another."""
+_TAKEN = "control taken"
+_CONTROL = {_TAKEN, "control given back", "armed", "attached"}
+"""Kinds of events that say who has control from then on."""
 _CLOCK_DOUBT_S, ORIGIN_DOUBT_M = 5.0, 1.0
 
 
@@ -84,6 +87,7 @@ class History:
 
     laid, armed:       None if it did not come so far
     hardware:          the vehicle's board, None if it did not say
+    is_pilots:         whether a pilot had taken control, and not given it back
     tally:             what the patrol had come to; None if it had not begun
     waypoint_au, node: where the drone was flying to
     """
@@ -95,6 +99,7 @@ class History:
     tally: Tally | None
     waypoint_au: FloatArray | None
     node: int | None
+    is_pilots: bool = False
 
     def is_other(self, hardware: str | None) -> bool:
         """Whether that is not the board of the vehicle that flew so far; no if one is unknown."""
@@ -179,6 +184,7 @@ def _read(folder: RunFolder, mission: Mission, priors_au: FloatArray) -> History
     laid = _laid(latest["ready"]) if "ready" in latest else None
     armed = latest.get("armed")
     decisions = list(folder.decisions())
+    control = [event["kind"] for event in events if event["kind"] in _CONTROL]
     tally = None
     if newest.start_s is not None and laid is not None:
         tally = Tally(start_s=newest.start_s, sightings=Sightings(priors_au))
@@ -195,6 +201,7 @@ def _read(folder: RunFolder, mission: Mission, priors_au: FloatArray) -> History
         tally=tally,
         waypoint_au=np.array(decisions[-1]["waypoint_au"]) if decisions else None,
         node=decisions[-1]["node"] if decisions else None,
+        is_pilots=control[-1:] == [_TAKEN],
     )
 
 

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -78,12 +79,14 @@ class Story:
         self.planner, self.watch = Shuttle(), Listener()
         self.link: FakeLink
         self.fence: tuple[FenceItem, ...] = ()  # that of the flight, on a vehicle in the air
+        self.on_note: Callable[[str], None] = lambda kind: None
 
     def fly(self, prepare: Callable[[FakeLink], None] = lambda link: None) -> FlightResult:
         return virtual_time.run(self._fly(prepare))
 
     async def _fly(self, prepare: Callable[[FakeLink], None]) -> FlightResult:
         self.planner, self.watch = Shuttle(), Listener()
+        self.watch.on_note = lambda kind: self.on_note(kind)
         folder, mission = RunFolder(path=self.path), self.file.mission
         is_new = not self.path.exists()
         recorder = (
@@ -140,6 +143,13 @@ class Story:
         """Have everything so far happen earlier."""
         wall = (datetime.now(UTC) - timedelta(seconds=duration_s)).isoformat()
         self.say(wall=wall, up_s=machine_time()[1] - duration_s)
+
+    def add(self, kind: str) -> None:
+        """Have the program that was killed have noted something last."""
+        events = self.path / "events.jsonl"
+        last = json.loads(_records(events)[-1])
+        with events.open("a") as lines:
+            lines.write(json.dumps(last | {"kind": kind, "text": ""}) + "\n")
 
     def say(self, **fields: object) -> None:
         """Have every event's line say something else."""
@@ -302,6 +312,76 @@ def test_after_a_restart_of_the_machine_the_wall_clock_tells_what_has_passed(sto
     then = datetime.now(UTC) - timedelta(seconds=300.0)
     story.say(boot="that of then", up_s=1e6, wall=then.isoformat())
     _goes_on_300_s_later(story)
+
+
+@pytest.mark.parametrize(
+    ("prepare", "words"),
+    [
+        ({"failsafe": Mode.LAND}, "a failsafe of the autopilot lands it"),
+        ({"failsafe": Mode.RETURN, "battery": 0.16}, "on its way down with what its battery has"),
+        ({"intent": Mode.RETURN, "battery": 0.16}, "on its way down with what its battery has"),
+    ],
+)
+def test_what_comes_down_for_a_reason_is_left_to_come_down(story, prepare, words):
+    last_s = story.crash_after(12)
+
+    def come_down(link: FakeLink) -> None:
+        _aloft(last_s + 9.0)(link)
+        for name, value in prepare.items():
+            setattr(link.vehicle, name, value)
+
+    result = story.fly(come_down)
+    assert not result.has_flown
+    assert words in str(result.error)
+    assert "wait until it is down, then resume" in str(result.error)
+    assert story.link.commands == []
+
+
+def test_a_failsafe_that_begins_to_land_it_meanwhile_is_left_to_land_it(story):
+    last_s = story.crash_after(12)
+
+    def prepare(link: FakeLink) -> None:
+        _aloft(last_s + 9.0)(link)
+        land = partial(setattr, link.vehicle, "failsafe", Mode.LAND)
+        story.on_note = lambda kind: land() if kind == "ready" else None
+
+    result = story.fly(prepare)
+    assert "a failsafe of the autopilot lands it" in str(result.error)
+    assert story.link.commands == []
+
+
+def test_the_return_of_a_killed_programs_vehicle_is_taken_over(story):
+    last_s = story.crash_after(12)
+
+    def prepare(link: FakeLink) -> None:
+        _aloft(last_s + 9.0)(link)
+        link.vehicle.failsafe = Mode.RETURN
+
+    assert story.fly(prepare).outcome == "completed"
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.LAND])
+def test_a_pilot_who_took_it_wins_also_over_the_next_program(story, mode):
+    last_s = story.crash_after(12)
+    story.add("control taken")
+    low = _aloft(last_s + 9.0, mode)
+
+    def prepare(link: FakeLink) -> None:
+        low(link)
+        link.vehicle.position[2] = -1.0 if mode is Mode.LAND else -22.0
+
+    result = story.fly(prepare)
+    assert not result.has_flown
+    assert "a pilot took control" in str(result.error)
+    assert story.link.commands == []
+    assert story.fly(_on_the_ground(last_s + 99.0)).outcome == "completed"
+
+
+def test_a_pilot_who_gave_it_back_has_no_more_say(story):
+    last_s = story.crash_after(12)
+    story.add("control taken")
+    story.add("control given back")
+    assert story.fly(_aloft(last_s + 9.0)).outcome == "completed"
 
 
 def test_a_fence_that_is_gone_is_told_in_the_air(story):
