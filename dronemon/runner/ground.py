@@ -43,6 +43,14 @@ class Ground:
         laid = history.laid if history else None
         board = None if self._mission.vehicle.is_mock else link.state.hardware  # each mock's is new
         is_same_clock = history is not None and history.go_over_to(link.time_s, board)
+        if history is not None and history.newest.is_clock_behind():
+            taken = "what the vehicle's own clock shows" if is_same_clock else "0 s"
+            what = (
+                "this machine's clock is behind that of the run: the time in between is unknown, "
+                f"and taken as {taken}; for what was seen to age by it, end the program, set the "
+                "clock, then resume"
+            )
+            self._events.note("clock", what, level="WARN")
         origin = link.state.origin
         if laid and is_same_clock and origin and laid.holds_with(origin):
             return laid.frame

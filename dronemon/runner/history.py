@@ -71,14 +71,19 @@ class Newest:
     start_s: float | None
 
     def now_s(self) -> float:
-        """What the vehicle's clock shows now, if it has gone on.
+        """What the vehicle's clock shows now, if it has gone on."""
+        return self.time_s + max(self._passed_s(), 0.0)
 
-        By the wall clock, which may have been set since, only where the machine was started anew.
-        """
+    def is_clock_behind(self) -> bool:
+        """Whether this machine's clock shows less than then: what has passed is not known."""
+        return self._passed_s() < 0.0
+
+    def _passed_s(self) -> float:
+        """By the wall clock, which may have been set since, only after a start of the machine."""
         boot, up_s = machine_time()
         if boot and boot == self.boot:
-            return self.time_s + up_s - self.up_s
-        return self.time_s + max((datetime.now(UTC) - self.wall).total_seconds(), 0.0)
+            return up_s - self.up_s
+        return (datetime.now(UTC) - self.wall).total_seconds()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,12 +110,18 @@ class History:
         """Whether that is not the board of the vehicle that flew so far; no if one is unknown."""
         return None not in {hardware, self.hardware} and hardware != self.hardware
 
+    def _pictured_s(self) -> float:
+        """The last picture's time by the newest clock: events, which tell that clock, are rarer."""
+        if self.tally is None or self.laid is None:
+            return -math.inf
+        return self.tally.start_s + self.laid.frame.au_to_s(self.tally.sightings.time_au)
+
     def go_over_to(self, clock_s: float, hardware: str | None) -> bool:
         """Go over to the clock that a vehicle shows now. -> whether it is the one of then
 
         A vehicle that was switched off since has a new one: it shows less than has passed.
         """
-        then_s, now_s = self.newest.time_s, self.newest.now_s()
+        then_s, now_s = self.newest.time_s, max(self.newest.now_s(), self._pictured_s())
         is_on = clock_s >= max(then_s, now_s - _CLOCK_DOUBT_S)
         is_same = is_on and not self.is_other(hardware)
         if not is_same and self.tally is not None:

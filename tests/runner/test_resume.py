@@ -144,6 +144,11 @@ class Story:
         wall = (datetime.now(UTC) - timedelta(seconds=duration_s)).isoformat()
         self.say(wall=wall, up_s=machine_time()[1] - duration_s)
 
+    def gap_s(self) -> float:
+        """Mission time between the last picture before a crash after 12, and the first after it."""
+        times_au = [line["time_au"] for line in RunFolder(path=self.path).observations()]
+        return float(times_au[12] - times_au[11]) * 100.0 / 5.0
+
     def add(self, kind: str) -> None:
         """Have the program that was killed have noted something last."""
         events = self.path / "events.jsonl"
@@ -312,6 +317,28 @@ def test_after_a_restart_of_the_machine_the_wall_clock_tells_what_has_passed(sto
     then = datetime.now(UTC) - timedelta(seconds=300.0)
     story.say(boot="that of then", up_s=1e6, wall=then.isoformat())
     _goes_on_300_s_later(story)
+
+
+@pytest.mark.parametrize("is_off", [False, True])
+def test_a_wall_clock_that_is_behind_after_a_restart_is_told(story, is_off):
+    last_s = story.crash_after(12)
+    story.say(boot="that of then", up_s=1e6, wall=(datetime.now(UTC) + DAY).isoformat())
+    result = story.fly(_on_the_ground(1.0) if is_off else _aloft(last_s + 9.0))
+    assert (result.outcome, result.error) == ("completed", None)
+    told = story.watch.text("clock")
+    assert f"taken as {'0 s' if is_off else 'what the vehicle'}" in told
+    assert "set the clock" in told
+    assert 9.0 < story.gap_s() < 60.0
+
+
+@pytest.mark.parametrize("passed_s", [0.0, 300.0])
+def test_a_wall_clock_that_goes_on_after_a_restart_is_not_told(story, passed_s):
+    story.crash_after(12)
+    then = datetime.now(UTC) - timedelta(seconds=passed_s)
+    story.say(boot="that of then", up_s=1e6, wall=then.isoformat())
+    result = story.fly(_on_the_ground(1.0))
+    assert (result.outcome, result.error) == ("completed", None)
+    assert "clock" not in story.watch.kinds
 
 
 @pytest.mark.parametrize(
