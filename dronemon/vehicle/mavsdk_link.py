@@ -49,8 +49,7 @@ _SETPOINT_GAP_S = 1.0
 a simulator that runs faster come in bursts, and a burst is no pause of ours."""
 _TEXTS_COME_S = 1.2
 _CLIMB_M, _CLIMB_WITHIN_S = 1.0, 20.0
-_WORDS = 4
-_DOUBTFUL_BEATS = 5
+_WORDS, _DOUBTFUL_BEATS = 4, 5
 
 
 class MavsdkLink:
@@ -268,11 +267,8 @@ class MavsdkLink:
 
     async def take_off(self, height_m: float) -> None:
         """Climb to a height above the present place and hold there; only from the ground."""
-        if self.state.landed in AIRBORNE:
-            raise ControlTaken(
-                f"it is {self.state.landed} before we asked for the take-off: the pilot flies",
-                by_failsafe=False,
-            )
+        if self.state.landed in AIRBORNE:  # armed by a pilot
+            raise ControlTaken("it is in the air already: the pilot flies", by_failsafe=False)
         start_down_m, origin = self.pose.position_ned_m[2], self.state.origin
         if origin is None:
             raise CommandUnconfirmed("take-off: the origin of the local frame was not heard")
@@ -363,8 +359,7 @@ class MavsdkLink:
         be on its way: with setpoints, it would take the vehicle from them.
         """
         loop = asyncio.get_running_loop()
-        late_s = LATE_MS / 1000.0
-        if self._modes.is_released and self.time_s < self._asked_offboard_s + late_s:
+        if self._modes.is_released and self.time_s < self._asked_offboard_s + LATE_MS / 1000.0:
             return
         if loop.time() > self._sent_at + _SETPOINT_GAP_S:
             # In its failsafe PX4 would follow the setpoint again. Old telemetry may be on its way.

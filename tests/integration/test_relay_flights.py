@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from simulated_vehicle import StartProgram
@@ -38,6 +39,11 @@ def _program(
     return start_program(
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
+
+
+def _events(run: Path) -> list[dict[str, Any]]:
+    """What was noted so far; nothing before there is a run."""
+    return list(RunFolder.open(run).events()) if (run / "events.jsonl").exists() else []
 
 
 def _ask(command: str, run: Path) -> str:
@@ -89,7 +95,9 @@ def test_a_second_terminal_sees_a_flight_wait_and_sends_it_on(
             time.sleep(0.2)
         return told
 
-    look_until("patrol")
+    while not any(event["kind"] == "armed" for event in _events(run)):  # early: it flies fast
+        assert program.poll() is None, program.communicate()[0]
+        time.sleep(0.1)
     assert "does not wait for a word" in _ask("resume", run)
     told = look_until("waiting:")
     assert "waits on the ground" in told
