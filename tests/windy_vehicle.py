@@ -37,7 +37,9 @@ class WindyVehicle(FakeVehicle):
     def _fly(self) -> None:
         p, mode, setpoint, height_m = self.parameters, self.mode, self.setpoint, -self.position[2]
         slow, fast = p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"]
-        sink = fast if height_m > p["MPC_LAND_ALT1"] else slow
+        high_m, low_m = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
+        share = min(max((height_m - low_m) / (high_m - low_m), 0.0), 1.0)
+        sink = slow + share * (fast - slow)
         wanted = [0.0, 0.0, 0.0]
         if mode is Mode.TAKEOFF:
             wanted[2] = -p["MPC_Z_V_AUTO_UP"]
