@@ -42,8 +42,8 @@ _DOUBT_M2_S2 = 40.0
 _DRAG_MAX_PER_S = 1.0
 _MEMORY_S = 300.0
 """After so long what was learned of drag and wind counts a third."""
-_DOUBT_POSES = 200
-"""Poses that it takes to half believe in a wind."""
+_DOUBT_POSES = 20
+"""Poses that it takes to half believe in a wind: a second's, the noise of their accelerations."""
 
 
 @dataclass(frozen=True, slots=True)
