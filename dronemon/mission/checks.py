@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from dronemon.energy import effort_home_s
+from dronemon.energy import cost_home
 from dronemon.mission.addresses import is_video_file
 from dronemon.mission.document import Problem
 from dronemon.mission.faults import parse_fault
@@ -81,7 +81,7 @@ def return_min(
     parameters: the vehicle's energy.RETURN_PARAMETERS
     """
     way_m = _reach_m(mission, away_m), 0.0
-    return effort_home_s(way_m, mission.flight.altitude_m, parameters) / 60.0
+    return cost_home(way_m, mission.flight.altitude_m, parameters).time_s / 60.0
 
 
 def battery_problem(

@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Mapping
 
-from dronemon.energy import Drain, effort_home_s
+from dronemon.energy import Cost, Drain, cost_home, lean_rate
 from dronemon.errors import VehicleError
 from dronemon.frames import GeoPoint, geo_to_ned
 from dronemon.guidance import Drag
@@ -41,13 +41,13 @@ class Battery:
 
     def _start(self, level: float | None) -> None:
         """On the ground: a flight begins, maybe with another battery."""
-        self._airborne_s = 0.0
+        self._flown = Cost(0.0, 0.0)
         self._drain = Drain(self._endurance_s)
         self.level = level
 
     def go_on(self, airborne_s: float) -> None:
         """It has been in the air for so long before it was followed."""
-        self._airborne_s += airborne_s
+        self._fly(airborne_s, 1.0)
 
     def take(self) -> None:
         """Follow the newest state and pose, if there is one."""
@@ -59,6 +59,8 @@ class Battery:
             if state.landed is Landed.ON_GROUND and not state.is_armed:
                 self._start(state.battery)
             else:
+                roll_rad, pitch_rad, _ = pose.attitude_rad
+                self._fly(passed_s, lean_rate(roll_rad, pitch_rad))
                 self._use(passed_s, state.battery)
                 self.flown_to = self.level
             self._follow_home(state.home, state.origin)
@@ -67,13 +69,16 @@ class Battery:
                 self._home_ned_m,
             )
             way_m = home_north - north, home_east - east
-            effort_s = effort_home_s(way_m, home_down - down, self.parameters, self.drag.wind)
-            self.needed = self._drain.needed(effort_s)
+            cost = cost_home(way_m, home_down - down, self.parameters, self.drag.wind)
+            self.needed = self._drain.needed(cost)
+
+    def _fly(self, passed_s: float, effort_rate: float) -> None:
+        time_s, effort_s = self._flown
+        self._flown = Cost(time_s + passed_s, effort_s + passed_s * effort_rate)
 
     def _use(self, passed_s: float, level: float | None) -> None:
-        self._airborne_s += passed_s
         if level is not None:
-            self._drain.take(self._airborne_s, level)
+            self._drain.take(self._flown, level)
             self.level = level
         elif self.level is not None:
             self.level = max(self.level - passed_s * self._drain.per_s, 0.0)
@@ -93,7 +98,7 @@ class Battery:
     @property
     def is_time_up(self) -> bool:
         """The same of a battery that lasts as long as the mission says."""
-        return 1.0 - self._airborne_s / self._endurance_s <= self.needed + self._reserve
+        return 1.0 - self._flown.time_s / self._endurance_s <= self.needed + self._reserve
 
     def __str__(self) -> str:
         left = "level unknown" if self.level is None else f"{self.level:.0%} left"
