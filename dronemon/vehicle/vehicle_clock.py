@@ -34,7 +34,7 @@ class VehicleClock:
         self._two_at_ms: int | None = None
         self._problem: str | None = None
         self._newest_ms: int | None = None  # unwrapped
-        self._leapt_ms: int | None = None  # newest stamp, if it is one too far ahead
+        self._leapt_ms: int | None = None  # unwrapped, of the newest stamp if it was too far ahead
         self._other: tuple[int, int] | None = None  # first and newest stamp of another clock
         self._alternations_ms: deque[int] = deque(maxlen=_ALTERNATIONS)
         self._contents: dict[int, object] = {}  # of the last seconds, by stamp
@@ -62,9 +62,11 @@ class VehicleClock:
         ahead_ms = self.ahead_ms(stamp_ms)
         if abs(ahead_ms) > LATE_MS:
             return self._hear_other(self._newest_ms + ahead_ms, content)
-        leapt_ms, self._leapt_ms = self._leapt_ms, None
-        if ahead_ms > _LEAP_MS and not (leapt_ms and 0 < stamp_ms - leapt_ms <= _LEAP_MS):
-            self._leapt_ms = stamp_ms
+        time_ms, leapt_ms = self._newest_ms + ahead_ms, self._leapt_ms
+        self._leapt_ms = None
+        goes_on = leapt_ms is not None and 0 < time_ms - leapt_ms <= _LEAP_MS
+        if ahead_ms > _LEAP_MS and not goes_on:
+            self._leapt_ms = time_ms
             return None
         is_late = ahead_ms <= 0
         is_foreign = ahead_ms < -_FOREIGN_MS and self._contents.get(stamp_ms) != content
@@ -73,7 +75,6 @@ class VehicleClock:
             self._doubt()
         if is_late:
             return None
-        time_ms = self._newest_ms + ahead_ms
         if self._other is not None:
             self._other = None
             self._alternations_ms.append(time_ms)

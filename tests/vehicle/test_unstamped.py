@@ -6,8 +6,6 @@ import pytest
 
 from dronemon.vehicle.unstamped import Unstamped
 
-BEAT_S = 1.0
-
 
 @pytest.mark.parametrize("late_s", [0.5, 1.5, 6.5, 8.5, 9.5])
 @pytest.mark.parametrize("lost_s", [(), (103,), (103, 104), (101, 104, 107)])

@@ -62,10 +62,12 @@ def test_a_single_stamp_from_the_future_takes_nothing_away(ahead_ms):
     assert (clock.pop_problem(), clock.are_two) == (None, False)
 
 
-def test_after_a_short_silence_time_goes_on_with_the_second_stamp():
+@pytest.mark.parametrize("start_ms", [100_000, 2**32 - 6_020])  # the second stamp wraps
+def test_after_a_short_silence_time_goes_on_with_the_second_stamp(start_ms):
     clock = VehicleClock()
-    heard(clock, [100_000])
-    assert heard(clock, stamps(106_000, 60)) == [106.02, 106.04]
+    heard(clock, [start_ms])
+    believed_s = [(start_ms + 6_020) / 1000.0, (start_ms + 6_040) / 1000.0]
+    assert heard(clock, stamps(start_ms + 6_000, 60)) == believed_s
 
 
 @pytest.mark.parametrize("before_ms", [100_000, 40_000])
