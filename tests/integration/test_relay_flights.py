@@ -86,7 +86,7 @@ def test_a_second_terminal_sees_a_flight_wait_and_sends_it_on(
     start_program: StartProgram, tmp_path: Path
 ):
     relay = "horizon_au: 9, endurance_min: 3.5, relay: confirmed"
-    program = _program(start_program, tmp_path, relay, "swap=40, reboot@200")
+    program = _program(start_program, tmp_path, relay, "swap=40, reboot@400")
     run = tmp_path / "run"
 
     def look_until(phase: str) -> str:
@@ -95,18 +95,20 @@ def test_a_second_terminal_sees_a_flight_wait_and_sends_it_on(
             time.sleep(0.2)
         return told
 
-    while not any(event["kind"] == "armed" for event in _events(run)):  # early: it flies fast
-        assert program.poll() is None, program.communicate()[0]
-        time.sleep(0.1)
+    def wait_until_noted(kind: str, text: str) -> None:
+        while not any(e["kind"] == kind and text in e["text"] for e in _events(run)):
+            assert program.poll() is None, program.communicate()[0]
+            time.sleep(0.1)
+
+    wait_until_noted("armed", "")  # early: it flies fast
     assert "does not wait for a word" in _ask("resume", run)
-    told = look_until("waiting:")
-    assert "waits on the ground" in told
+    wait_until_noted("fresh battery", "still waiting: the autopilot rebooted")
+    assert "waits on the ground" in look_until("waiting:")
     before = [event["kind"] for event in RunFolder.open(run).events()]
     assert "it goes on" in _ask("resume", run)
     said, _ = program.communicate()
     assert program.returncode == 0, said
     events = list(RunFolder.open(run).events())
     assert (before.count("armed"), [event["kind"] for event in events].count("armed")) == (1, 2)
-    assert any("still waiting: the autopilot rebooted" in event["text"] for event in events)
     assert "ended: completed" in _ask("status", run)
     assert "completed: nothing is left to fly" in _ask("resume", run)
