@@ -127,8 +127,8 @@ class Relay:
         That word is what `dronemon resume` leaves in the run folder. Raises VehicleError where
         another vehicle answers.
         """
-        flown, folder, num_fresh = self._setup.link, self._setup.folder, 0
-        request = folder / REQUEST_FILE
+        flown, num_fresh = self._setup.link, 0
+        request = self._setup.folder / REQUEST_FILE
         while True:
             await link.next_heartbeat()
             boards = {link.state.hardware, flown.state.hardware} - {None}
@@ -150,18 +150,15 @@ class Relay:
                 return
             if num_fresh == _STEADY_HEARTBEATS:
                 request.unlink(missing_ok=True)
-                command = f"`dronemon resume {folder}`"
-                is_seen = self._is_told and battery is not None
-                what = (
-                    "a fresh battery is in"
-                    if is_seen
-                    else "see to a fresh battery: no level tells one"
-                )
-                text = f"{what}; once all are clear, {command} takes off"
-                self._note(text, kind=WAITING)
+                self._ask_for_word(is_seen=self._is_told and battery is not None)
             elif is_fresh and request.exists():
                 request.unlink()
                 return
+
+    def _ask_for_word(self, *, is_seen: bool) -> None:
+        what = "a fresh battery is in" if is_seen else "see to a fresh battery: no level tells one"
+        command = f"`dronemon resume {self._setup.folder}`"
+        self._note(f"{what}; once all are clear, {command} takes off", kind=WAITING)
 
     def _look_after(self, state: VehicleState) -> None:
         """Where somebody else flies or moves it meanwhile, a battery alone is not enough any more.
