@@ -339,17 +339,17 @@ def _autopilot_version(autopilot: Autopilot) -> Any:
 
 STREAMS: dict[int, tuple[Builder, float]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: (_heartbeat, 1.0),
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: (_attitude, 50.0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: (_attitude, 98.0),
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (_local_position_ned, 30.0),
     mavlink.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 30.0),
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (_attitude_quaternion, 25.0),
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (_global_position_int, 10.0),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (_attitude_quaternion, 49.0),
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (_global_position_int, 49.0),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (_gps_raw_int, 8.0),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: (_sys_status, 5.0),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (_extended_sys_state, 5.0),
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 4.0),
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, 4.0),
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (_position_target_local_ned, 4.0),
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 10.0),
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, 10.0),
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (_position_target_local_ned, 10.0),
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (_estimator_status, 1.0),
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: (_mission_current, 1.0),
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: (_system_time, 1.0),
@@ -358,4 +358,8 @@ STREAMS: dict[int, tuple[Builder, float]] = {
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (_gps_global_origin, 0.0),
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (_autopilot_version, 0.0),
 }
-"""Message id -> builder and Hz of vehicle time; 0 is on request only."""
+"""Message id -> builder and Hz of vehicle time, as on PX4's offboard link; 0 is on request only.
+
+What PX4 also sends there is left out, since nothing here simulates it: raw inertial data, attitude
+and servo targets, and time-sync and ping requests of its own.
+"""

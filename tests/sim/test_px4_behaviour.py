@@ -342,6 +342,18 @@ def test_one_late_setpoint_brings_offboard_back_for_as_long_as_it_counts(
     assert mode(aloft) is Px4Mode.RTL
 
 
+@pytest.mark.parametrize(("rate_hz", "holds"), [(2.0, True), (0.7, False)])
+def test_rare_setpoints_hold_down_to_a_rate(aloft: Autopilot, rate_hz: float, holds: bool) -> None:
+    setpoint = fly_offboard(aloft)
+    modes = set()
+    for _ in range(10):
+        aloft.take_offboard(setpoint)
+        for _ in range(10):
+            fly(aloft, 0.1 / rate_hz)
+            modes.add(mode(aloft))
+    assert modes == ({Px4Mode.OFFBOARD} if holds else {Px4Mode.OFFBOARD, Px4Mode.RTL})
+
+
 # --- GPS
 
 
