@@ -6,8 +6,8 @@ import itertools
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from simulated_vehicle import StartProgram
@@ -41,9 +41,11 @@ def _program(
     )
 
 
-def _events(run: Path) -> list[dict[str, Any]]:
-    """What was noted so far; nothing before there is a run."""
-    return list(RunFolder.open(run).events()) if (run / "events.jsonl").exists() else []
+def _is_noted(run: Path, text: str) -> bool:
+    """Whether an event says so; none does before there is a run."""
+    if not (run / "events.jsonl").exists():
+        return False
+    return any(text in event["text"] for event in RunFolder.open(run).events())
 
 
 def _ask(command: str, run: Path) -> str:
@@ -89,21 +91,16 @@ def test_a_second_terminal_sees_a_flight_wait_and_sends_it_on(
     program = _program(start_program, tmp_path, relay, "swap=40, reboot@400")
     run = tmp_path / "run"
 
-    def look_until(phase: str) -> str:
-        while phase not in (told := _ask("status", run)):
-            assert program.poll() is None, program.communicate()[0]
-            time.sleep(0.2)
-        return told
-
-    def wait_until_noted(kind: str, text: str) -> None:
-        while not any(e["kind"] == kind and text in e["text"] for e in _events(run)):
+    def wait_until(condition: Callable[[], bool]) -> None:
+        while not condition():
             assert program.poll() is None, program.communicate()[0]
             time.sleep(0.1)
 
-    wait_until_noted("armed", "")  # early: it flies fast
+    wait_until(lambda: _is_noted(run, "motors are running"))  # early: it flies fast
     assert "does not wait for a word" in _ask("resume", run)
-    wait_until_noted("fresh battery", "still waiting: the autopilot rebooted")
-    assert "waits on the ground" in look_until("waiting:")
+    wait_until(lambda: _is_noted(run, "still waiting: the autopilot rebooted"))
+    wait_until(lambda: "waiting:" in _ask("status", run))
+    assert "waits on the ground" in _ask("status", run)
     before = [event["kind"] for event in RunFolder.open(run).events()]
     assert "it goes on" in _ask("resume", run)
     said, _ = program.communicate()
