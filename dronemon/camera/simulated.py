@@ -57,7 +57,10 @@ class SimulatedCamera:
         """The world at the instant at which the camera gets the request. Raises CameraError."""
         async with self._limited("send a picture"), self._turn:
             time_s, jpeg = await self._ask()
-        image = await asyncio.to_thread(cv2.imdecode, jpeg, cv2.IMREAD_COLOR)
+        try:
+            image = await asyncio.to_thread(cv2.imdecode, jpeg, cv2.IMREAD_COLOR)
+        except cv2.error as exc:  # as of a picture that says it is too large
+            raise CameraError(f"{self._url} sent a picture that cannot be read: {exc}") from exc
         if image is None or bytes(jpeg[-2:]) != _JPEG_END:  # OpenCV fills what is missing with grey
             raise CameraError(f"{self._url} sent {jpeg.size} bytes that are no whole JPEG")
         return Picture(time_s=time_s, image=np.asarray(image, np.uint8))

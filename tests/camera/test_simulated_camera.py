@@ -11,6 +11,8 @@ from dronemon.camera import SimulatedCamera
 from dronemon.errors import CameraError
 
 JPEG = cv2.imencode(".jpg", np.full((8, 8, 3), 99, np.uint8))[1].tobytes()
+SIZE_AT = JPEG.index(b"\xff\xc0") + 5  # height and width in the frame header
+HUGE_JPEG = JPEG[:SIZE_AT] + struct.pack("!2H", 65000, 65000) + JPEG[SIZE_AT + 4 :]
 
 
 def capture_from(*answers, num_captures=1):
@@ -54,6 +56,7 @@ def test_picture_carries_the_capture_time():
         (answer(JPEG, num_bytes=2**31), "at most"),
         (answer(b"", num_bytes=0), "at most"),
         (answer(b"no jpeg at all"), "no whole JPEG"),
+        (answer(HUGE_JPEG), "cannot be read"),
     ],
 )
 def test_bad_answer_is_an_error_and_the_next_capture_recovers(bad, message):
