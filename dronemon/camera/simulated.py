@@ -8,6 +8,7 @@ JPEG.
 from __future__ import annotations
 
 import asyncio
+import io
 import struct
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -16,7 +17,9 @@ from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
+from cv2.typing import MatLike
 from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
 
 from dronemon.errors import CameraError
 from dronemon.types import Picture
@@ -24,6 +27,8 @@ from dronemon.types import Picture
 _REQUEST = b"SHOT"
 _ANSWER = struct.Struct("!4sdI")
 _MAX_JPEG_BYTES = 64 * 2**20
+_MAX_PIXELS = 8192**2
+"""What the largest picture of a mission has; a small JPEG may unfold into gigabytes."""
 _JPEG_END = b"\xff\xd9"
 _CLOSE_TIMEOUT_S = 1.0
 
@@ -57,10 +62,10 @@ class SimulatedCamera:
         """The world at the instant at which the camera gets the request. Raises CameraError."""
         async with self._limited("send a picture"), self._turn:
             time_s, jpeg = await self._ask()
-        try:
-            image = await asyncio.to_thread(cv2.imdecode, jpeg, cv2.IMREAD_COLOR)
-        except cv2.error as exc:  # as of a picture that says it is too large
-            raise CameraError(f"{self._url} sent a picture that cannot be read: {exc}") from exc
+            try:
+                image = await asyncio.to_thread(_decoded, jpeg)
+            except (OSError, cv2.error) as exc:
+                raise CameraError(f"{self._url} sent a picture that cannot be read: {exc}") from exc
         if image is None or bytes(jpeg[-2:]) != _JPEG_END:  # OpenCV fills what is missing with grey
             raise CameraError(f"{self._url} sent {jpeg.size} bytes that are no whole JPEG")
         return Picture(time_s=time_s, image=np.asarray(image, np.uint8))
@@ -108,3 +113,16 @@ class SimulatedCamera:
             raise CameraError(
                 f"the camera at {self._url} could not {deed}: {exc}; is the simulator running?"
             ) from exc
+
+
+def _decoded(jpeg: NDArray[np.uint8]) -> MatLike | None:
+    """The picture; None if it is none. Raises OSError if its header says that it is too large."""
+    try:
+        width_px, height_px = Image.open(io.BytesIO(jpeg.tobytes()), formats=["JPEG"]).size
+    except UnidentifiedImageError:
+        return None
+    except Image.DecompressionBombError as exc:
+        raise OSError(str(exc)) from exc
+    if width_px * height_px > _MAX_PIXELS:
+        raise OSError(f"{width_px} x {height_px} pixels are more than any mission has")
+    return cv2.imdecode(jpeg, cv2.IMREAD_COLOR)

@@ -12,7 +12,10 @@ from dronemon.errors import CameraError
 
 JPEG = cv2.imencode(".jpg", np.full((8, 8, 3), 99, np.uint8))[1].tobytes()
 SIZE_AT = JPEG.index(b"\xff\xc0") + 5  # height and width in the frame header
-HUGE_JPEG = JPEG[:SIZE_AT] + struct.pack("!2H", 65000, 65000) + JPEG[SIZE_AT + 4 :]
+
+
+def jpeg_that_says(width_px, height_px):
+    return JPEG[:SIZE_AT] + struct.pack("!2H", height_px, width_px) + JPEG[SIZE_AT + 4 :]
 
 
 def capture_from(*answers, num_captures=1):
@@ -56,7 +59,8 @@ def test_picture_carries_the_capture_time():
         (answer(JPEG, num_bytes=2**31), "at most"),
         (answer(b"", num_bytes=0), "at most"),
         (answer(b"no jpeg at all"), "no whole JPEG"),
-        (answer(HUGE_JPEG), "cannot be read"),
+        (answer(jpeg_that_says(65000, 65000)), "cannot be read"),
+        (answer(jpeg_that_says(8192, 8193)), "8192 x 8193 pixels are more"),
     ],
 )
 def test_bad_answer_is_an_error_and_the_next_capture_recovers(bad, message):
