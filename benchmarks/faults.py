@@ -1,8 +1,8 @@
 """Every fault at take-off, patrol and return: `python benchmarks/faults.py [--seeds N]`.
 
 Each flight is one `dronemon fly` of a small mission at ten times real time. Flights that are done
-are in `--results` (JSON lines) and not flown again; the table goes beside it as Markdown. Judged of
-each flight:
+are in `--results` (JSON lines) and not flown again; those of other code are not added to. The table
+goes beside it as Markdown. Judged of each flight:
 - end:       landed, left with true last words, pilot's, not flown, killed by the case; or
              UNCONTROLLED: the motors run and the program does not say so (the simulator knows)
 - folder:    whether the run folder reads and its files are whole
@@ -30,7 +30,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -42,6 +42,7 @@ from dronemon.errors import DronemonError
 from dronemon.recorder import RunFolder
 from dronemon.runner.flight import DOWN, NOT_STARTED
 from dronemon.runner.last_seen import FIRST_WORDS
+from dronemon.version import code_version
 
 MISSION = """
 name: faults
@@ -178,9 +179,15 @@ def main() -> None:
         for name, moment, seed in _flights(options, vehicle):
             if (vehicle, name, moment, seed) in done:
                 continue
+            if others := _codes(done.values(), vehicle) - {code_version()}:
+                sys.exit(
+                    f"{options.results}: flights on {vehicle} are of {', '.join(sorted(others))},"
+                    f" this is {code_version()}; choose other --results"
+                )
             times_s = _times_s(done, vehicle, seed)
             result = fly(CASES[name], vehicle, seed, times_s.get(moment, 0.0))
             result |= {"vehicle": vehicle, "case": name, "moment": moment, "seed": seed}
+            result["code"] = code_version()
             if not is_bad(result):
                 del result["said"]
             elif name == "none":
@@ -423,6 +430,12 @@ def table(results: list[Result]) -> str:
         f"beyond the picture in flight {sum(max(r['lost'] - 1, 0) for r in results)}, "
         f"fence crossings {sum(crossings)} in the {len(crossings)} where they are counted, "
         f"last lines not true {sum(not r['is_true'] for r in results)}.\n",
+        *(
+            f"- {vehicle}: {sum(r['vehicle'] == vehicle for r in results)} flights of "
+            f"{', '.join(sorted(_codes(results, vehicle)))}"
+            for vehicle in vehicles
+        ),
+        "",
         "| fault | moment | " + " | ".join(vehicles) + " |",
         "|---|---|" + "---|" * len(vehicles),
     ]
@@ -440,6 +453,11 @@ def table(results: list[Result]) -> str:
             if set(cells) != {"—"}:
                 lines.append(f"| {name} | {moment} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def _codes(results: Iterable[Result], vehicle: str) -> set[str]:
+    """What was flown on a vehicle."""
+    return {result["code"] for result in results if result["vehicle"] == vehicle}
 
 
 def _read(path: Path) -> dict[tuple[Any, ...], Result]:
