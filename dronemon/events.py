@@ -18,7 +18,7 @@ from dronemon.errors import RecordError, VehicleError
 from dronemon.types import Detection, FloatArray, IntArray, Measurement, Picture, Pose
 
 if TYPE_CHECKING:
-    from dronemon.frames import AreaFrame
+    from dronemon.frames import AreaFrame, GeoPoint
 
 Level = Literal["INFO", "WARN", "ERROR"]
 
@@ -62,12 +62,14 @@ class Progressed(Event):
 class AreaLaid(Event):
     """The area lies over the ground, and the roadmap in it.
 
+    origin:      of the vehicle's local frame
     fence_ned_m: (n, 2) corners of the fence around it, north and east
     nodes_au:    (V, 2) au places of the nodes
     edges:       (E, 2) int node numbers
     """
 
     area: AreaFrame
+    origin: GeoPoint
     footprint_radius_m: float
     fence_ned_m: FloatArray
     nodes_au: FloatArray
@@ -113,12 +115,16 @@ class Stretch:
 class Measured(Event):
     """What the sensor said about all targets.
 
-    score: (N,) confidence of each target seen, NaN where it was not
+    score:   (N,) confidence of each target seen, NaN where it was not
+    pose:    that the picture was taken from
+    error_m: radius about the place of a target seen in which it truly is, in 95 of 100
     """
 
     time_s: float
     measurement: Measurement
     score: FloatArray
+    pose: Pose
+    error_m: float
     battery: float | None = None
     battery_needed: float = 0.0
     stretch: Stretch

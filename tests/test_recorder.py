@@ -1,4 +1,5 @@
 import json
+import math
 import os
 import resource
 import signal
@@ -6,7 +7,8 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from datetime import datetime
 from errno import EIO
 from pathlib import Path
 
@@ -15,11 +17,12 @@ import pytest
 import yaml
 
 from dronemon.errors import RecordError
-from dronemon.events import Decided, Measured, Noted, Stretch
+from dronemon.events import AreaLaid, Decided, Measured, Moved, Noted, Stretch
+from dronemon.frames import AreaFrame, GeoPoint
 from dronemon.mission import Mission, load_mission
 from dronemon.mission.schema import Target
 from dronemon.recorder import MISSION_FILE, RUN_FILES, RunFolder, RunRecorder
-from dronemon.types import Measurement
+from dronemon.types import Measurement, Pose
 
 NAMES = ("Bella", "Zuri")
 MISSION = Mission(
@@ -34,6 +37,12 @@ STRETCH = Stretch(
     pictures_due=1,
     speeds_m_s=[5.0],
     cross_track_m=[],
+)
+POSE = Pose(
+    time_s=4.0,
+    position_ned_m=(100.0, -50.0, -30.0),
+    velocity_ned_m_s=(3.0, 4.0, 0.0),
+    attitude_rad=(0.0, 0.0, 0.0),
 )
 
 
@@ -50,6 +59,27 @@ def measurement(time_au: float = 0.1) -> Measurement:
     )
 
 
+MEASURED = Measured(
+    time_s=4.0,
+    measurement=measurement(),
+    score=np.array([0.9, np.nan]),
+    pose=POSE,
+    error_m=1.5,
+    battery=0.5,
+    battery_needed=0.1,
+    stretch=STRETCH,
+)
+DECIDED = Decided(
+    time_s=4.5,
+    time_au=0.12,
+    position_au=np.array([0.25, 0.5]),
+    waypoint_au=np.array([0.4, 0.6]),
+    node=17,
+    decision_ms=3.5,
+    details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
+)
+
+
 def noted(kind: str, text: str, time_s: float | None = None, **fields: object) -> Noted:
     return Noted(time_s=time_s, kind=kind, text=text, level="INFO", fields=fields)
 
@@ -57,27 +87,8 @@ def noted(kind: str, text: str, time_s: float | None = None, **fields: object) -
 def record_all(run: RunRecorder) -> None:
     run.take(noted("connect", "vehicle heard"))
     run.take(noted("armed", "armed", 3.0, battery=np.float32(0.5), mode="OFFBOARD"))
-    run.take(
-        Measured(
-            time_s=4.0,
-            measurement=measurement(),
-            score=np.array([0.9, np.nan]),
-            battery=0.5,
-            battery_needed=0.1,
-            stretch=STRETCH,
-        )
-    )
-    run.take(
-        Decided(
-            time_s=4.5,
-            time_au=0.12,
-            position_au=np.array([0.25, 0.5]),
-            waypoint_au=np.array([0.4, 0.6]),
-            node=17,
-            decision_ms=3.5,
-            details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
-        )
-    )
+    run.take(MEASURED)
+    run.take(DECIDED)
 
 
 def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
@@ -87,20 +98,20 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
         run.finish("landed", {"unc": 0.5, "jsd": float("nan"), "min_ob": np.int64(3)})
     folder = RunFolder.open(run.folder.path)
     assert Mission.model_validate(yaml.safe_load(folder.mission_text())) == MISSION
-    assert list(folder.observations()) == [
-        {
-            "time_s": 4.0,
-            "time_au": 0.1,
-            "agent_au": [0.25, 0.5],
-            "battery": 0.5,
-            "battery_needed": 0.1,
-            "stretch": asdict(STRETCH),
-            "targets": {
-                "Bella": {"seen": True, "position_au": [0.3, 0.55], "score": 0.9},
-                "Zuri": {"seen": False, "position_au": None, "score": None},
-            },
-        }
-    ]
+    (observation,) = folder.observations()
+    assert observation == {
+        "time_s": 4.0,
+        "wall": observation["wall"],
+        "time_au": 0.1,
+        "agent_au": [0.25, 0.5],
+        "battery": 0.5,
+        "battery_needed": 0.1,
+        "stretch": asdict(STRETCH),
+        "targets": {
+            "Bella": {"seen": True, "position_au": [0.3, 0.55], "score": 0.9, "error_m": 1.5},
+            "Zuri": {"seen": False, "position_au": None, "score": None},
+        },
+    }
     (decision,) = folder.decisions()
     assert decision["node"] == 17
     assert decision["waypoint_au"] == [0.4, 0.6]
@@ -117,6 +128,61 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
     assert summary["min_ob"] == 3
     assert sorted(summary["files"]) == sorted(set(RUN_FILES) - {"summary.json"})
     assert folder.damaged_files() == []
+
+
+@pytest.mark.parametrize(
+    "origin", [(47.0, 8.0), (-33.9, -70.6), (0.0001, 179.9999), (-0.0001, -0.0001)]
+)
+def test_lines_say_where_on_the_globe(tmp_path: Path, origin: tuple[float, float]) -> None:
+    """The vehicle 100 m north and 50 m west of the origin; Bella 200 m south, 300 m east of it."""
+    area = AreaFrame(
+        centre_ned_m=(-200.0, 300.0),
+        ground_down_m=0.0,
+        side_m=100.0,
+        heading_rad=0.5,
+        cruise_speed_m_s=5.0,
+    )
+    laid = AreaLaid(
+        area=area,
+        origin=GeoPoint(latitude_deg=origin[0], longitude_deg=origin[1], altitude_m=400.0),
+        footprint_radius_m=10.0,
+        fence_ned_m=np.zeros((4, 2)),
+        nodes_au=np.zeros((2, 2)),
+        edges=np.array([[0, 1]]),
+    )
+    with create(tmp_path) as run:
+        run.take(Moved(pose=POSE))
+        run.take(noted("connect", "before the area is laid"))
+        run.take(laid)
+        for late_s in (0.0, 0.5, 1.0, 1.5):
+            run.take(Moved(pose=replace(POSE, time_s=4.0 + late_s)))
+        middle = replace(measurement(), target_au=np.array([[0.5, 0.5], [np.nan, np.nan]]))
+        run.take(replace(MEASURED, measurement=middle))
+        run.take(replace(DECIDED, waypoint_au=np.array([0.5, 0.5])))
+        run.take(noted("patrol", "on its way", 5.5))
+        run.flush()
+        folder = run.folder
+        (observation,), (decision,) = folder.observations(), folder.decisions()
+        (early, event), poses = folder.events(), list(folder.poses())
+    assert "place" not in early
+    assert [pose["time_s"] for pose in poses] == [4.0, 5.0]
+
+    def offset_m(place: dict[str, float]) -> list[float]:
+        """From the origin, on a sphere as large as the earth."""
+        turned = (place["longitude_deg"] - origin[1] + 180.0) % 360.0 - 180.0
+        shrunk = math.cos(math.radians(origin[0]))
+        return [111.2e3 * (place["latitude_deg"] - origin[0]), 111.2e3 * shrunk * turned]
+
+    for there in (poses[0], observation, event):
+        assert offset_m(there["place"]) == pytest.approx([100.0, -50.0], rel=0.01)
+        assert there["place"]["altitude_m"] == pytest.approx(430.0, abs=0.1)
+    bella, zuri = observation["targets"]["Bella"], observation["targets"]["Zuri"]
+    for there in (bella, decision):
+        assert offset_m(there["place"]) == pytest.approx([-200.0, 300.0], rel=0.01)
+        assert there["place"]["altitude_m"] == pytest.approx(400.0, abs=0.1)
+    assert "place" not in zuri
+    told, seen = (datetime.fromisoformat(line["wall"]) for line in (event, observation))
+    assert (told - seen).total_seconds() == pytest.approx(1.5, abs=0.5)
 
 
 def test_a_flipped_byte_is_found(tmp_path: Path) -> None:

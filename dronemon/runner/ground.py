@@ -9,7 +9,7 @@ import numpy as np
 from dronemon.errors import VehicleError
 from dronemon.events import AreaLaid, EventStream
 from dronemon.fence import Fence
-from dronemon.frames import AreaFrame, ned_to_geo
+from dronemon.frames import AreaFrame
 from dronemon.roadmap import Roadmap
 from dronemon.runner.inspection import fence_around, lay_area
 from dronemon.runner.preparation import FlightSetup
@@ -93,23 +93,23 @@ class Ground:
 
     def tell(self, frame: AreaFrame, fence: Fence, roadmap: Roadmap) -> None:
         """Tell of the area; the line of it has what a flight that goes on needs to know."""
+        origin = self._link.state.origin
+        assert origin is not None  # as above
         self._events.emit(
             AreaLaid(
                 area=frame,
+                origin=origin,
                 footprint_radius_m=self._mission.sensor_radius_m,
                 fence_ned_m=fence.corners_ned_m,
                 nodes_au=roadmap.nodes_au,
                 edges=np.argwhere(roadmap.edge_lengths_au.toarray() > 0),
             )
         )
-        origin = self._link.state.origin
-        assert origin is not None  # as above
-        centre = ned_to_geo(np.array([*frame.centre_ned_m, frame.ground_down_m]), origin)
         self._events.note(
             "ready",
             "the vehicle is ready" + (", and has the flight's fence" if self._has_fence else ""),
             frame=asdict(frame),
-            centre=asdict(centre),
+            origin=asdict(origin),
             hardware=self._link.state.hardware,
             fence_ned_m=fence.corners_ned_m,
         )

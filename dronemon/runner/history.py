@@ -15,7 +15,7 @@ import numpy as np
 from dronemon.clock import machine_time
 from dronemon.errors import RecordError
 from dronemon.events import Stretch
-from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
+from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned, ned_to_geo
 from dronemon.mission import Mission
 from dronemon.recorder import RunFolder
 from dronemon.runner.tally import Tally
@@ -32,19 +32,23 @@ _CLOCK_DOUBT_S, ORIGIN_DOUBT_M = 5.0, 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Laid:
-    """Where the area was laid, in the local frame of then; its centre on the globe.
+    """Where the area was laid, in the local frame of then, whose origin was there.
 
     fence_ned_m: (n, 2) corners of the fence that the vehicle was given
     """
 
     frame: AreaFrame
-    centre: GeoPoint
+    origin: GeoPoint
     fence_ned_m: FloatArray
+
+    @property
+    def centre(self) -> GeoPoint:
+        """Of the area, on the globe."""
+        return ned_to_geo(np.array([*self.frame.centre_ned_m, 0.0]), self.origin)
 
     def holds_with(self, origin: GeoPoint) -> bool:
         """Whether the local frame of then is that of this origin."""
-        here_m = geo_to_ned(self.centre, origin)[:2]
-        return math.dist(here_m, self.frame.centre_ned_m) < ORIGIN_DOUBT_M
+        return math.hypot(*geo_to_ned(origin, self.origin)[:2]) < ORIGIN_DOUBT_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,7 +224,7 @@ def _laid(event: Mapping[str, Any]) -> Laid:
     frame = event["frame"]
     return Laid(
         frame=AreaFrame(**{**frame, "centre_ned_m": tuple(frame["centre_ned_m"])}),
-        centre=GeoPoint(**event["centre"]),
+        origin=GeoPoint(**event["origin"]),
         fence_ned_m=np.array(event["fence_ned_m"], dtype=np.float64),
     )
 

@@ -19,7 +19,7 @@ from dronemon.runner.preparation import FlightSetup, make_belief
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
-from dronemon.vision.observe import observe
+from dronemon.vision.observe import observe, sighting_error_m
 from dronemon.vision.project import interpolate_pose
 from dronemon.viz import belief_grid_au
 
@@ -148,6 +148,8 @@ class Observer:
                 time_s=picture.time_s,
                 measurement=measurement,
                 score=score,
+                pose=pose,
+                error_m=sighting_error_m(pose, self._frame, self._link.state.accuracy_m),
                 battery=self._link.state.battery,
                 battery_needed=self._battery.needed,
                 stretch=stretch,

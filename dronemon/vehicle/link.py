@@ -90,6 +90,8 @@ class VehicleState:
     counts as good as long as GPS has a fix and the place is told."""
     estimate_doubts: tuple[str, ...] = ("no word of it",)
     """What is against the estimate, in words."""
+    accuracy_m: float | None = None
+    """Standard deviation of the horizontal position along one axis, as the estimator has it."""
     gps: GpsFix | None = None
     remote_id: str | None = None
     """What its remote ID has against arming, nothing if it is ready; None if none is heard."""

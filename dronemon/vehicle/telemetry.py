@@ -34,7 +34,11 @@ _LANDED = {
 _UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message stays away
     "EXTENDED_SYS_STATE": {"landed": Landed.UNKNOWN},
     "SYS_STATUS": {"battery": None, "is_armable": False, "has_sticks": False},
-    "ESTIMATOR_STATUS": {"is_estimate_heard": False, "estimate_doubts": ("no word of it",)},
+    "ESTIMATOR_STATUS": {
+        "is_estimate_heard": False,
+        "estimate_doubts": ("no word of it",),
+        "accuracy_m": None,
+    },
     "GPS_RAW_INT": {"gps": None},
     REMOTE_ID_STATUS: {"remote_id": None},
 }
@@ -270,9 +274,11 @@ class Telemetry:
 
     def _on_estimator_status(self, fields: dict[str, Any]) -> None:
         flags = _whole(fields["flags"], 0, 2**16 - 1)
+        accuracy_m = fields["pos_horiz_accuracy"] or math.nan  # None stands for NaN
         self._update(
             is_estimate_heard=True,
             is_position_good=bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
+            accuracy_m=accuracy_m if 0.0 < accuracy_m < math.inf else None,
             estimate_doubts=(
                 *(f"no {what}" for what, flag in _ESTIMATED.items() if not flags & flag),
                 *(what for what, flag in _ESTIMATE_ERRORS.items() if flags & flag),

@@ -18,7 +18,7 @@ from flights import Listener
 
 from dronemon.clock import machine_time
 from dronemon.errors import RecordError
-from dronemon.frames import ned_to_geo
+from dronemon.frames import GeoPoint, ned_to_geo
 from dronemon.mission import MissionFile, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.recorder import RunFolder, RunRecorder
@@ -432,8 +432,12 @@ def test_an_area_is_laid_where_it_was_on_the_globe(story, hardware):
     laid = [e for e in RunFolder(path=story.path).events() if e["kind"] == "ready"]
     story.fly(prepare)
     again = [e for e in RunFolder(path=story.path).events() if e["kind"] == "ready"][len(laid) :]
-    for angle in ("latitude_deg", "longitude_deg"):
-        assert again[0]["centre"][angle] == pytest.approx(laid[0]["centre"][angle], abs=1e-7)
+    then, now = (
+        ned_to_geo(np.array([*told["frame"]["centre_ned_m"], 0.0]), GeoPoint(**told["origin"]))
+        for told in (laid[0], again[0])
+    )
+    assert now.latitude_deg == pytest.approx(then.latitude_deg, abs=1e-7)
+    assert now.longitude_deg == pytest.approx(then.longitude_deg, abs=1e-7)
     assert story.watch.texts("another one than flew") == (hardware == "another")
 
 

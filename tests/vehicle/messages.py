@@ -20,7 +20,7 @@ READY = {
     "GPS_GLOBAL_ORIGIN": HOME,
     "GLOBAL_POSITION_INT": PLACE,
     "AUTOPILOT_VERSION": {"uid": 17, "uid2": [0] * 18},
-    "ESTIMATOR_STATUS": {"flags": mavlink.ESTIMATOR_POS_HORIZ_ABS},
+    "ESTIMATOR_STATUS": {"flags": mavlink.ESTIMATOR_POS_HORIZ_ABS, "pos_horiz_accuracy": 0.5},
     "SYS_STATUS": {
         "battery_remaining": 73,
         "onboard_control_sensors_health": mavlink.MAV_SYS_STATUS_PREARM_CHECK,

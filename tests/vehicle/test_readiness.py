@@ -23,7 +23,10 @@ def test_nothing_is_against_a_vehicle_that_is_ready():
     ("messages", "problem"),
     [
         ({"SYS_STATUS": CHECKS_FAIL}, "arming checks not passed"),
-        ({"ESTIMATOR_STATUS": {"flags": 0}}, "no good absolute position (GPS?)"),
+        (
+            {"ESTIMATOR_STATUS": {"flags": 0, "pos_horiz_accuracy": 0.5}},
+            "no good absolute position (GPS?)",
+        ),
         ({"ESTIMATOR_STATUS": None}, "no good absolute position (GPS?)"),
         ({"HOME_POSITION": None}, "no home position"),
         ({"AUTOPILOT_VERSION": None}, NO_NUMBER),

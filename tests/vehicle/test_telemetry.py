@@ -28,6 +28,10 @@ def beat(telemetry, **fields):
     telemetry.take("HEARTBEAT", HEARTBEAT | fields)
 
 
+def estimate(telemetry, flags, **fields):
+    telemetry.take("ESTIMATOR_STATUS", {"flags": flags, "pos_horiz_accuracy": 0.5, **fields})
+
+
 @pytest.mark.parametrize(
     ("custom_mode", "mode"),
     [
@@ -186,9 +190,9 @@ def test_what_is_asked_before_a_take_off_is_read():
     assert telemetry.state.remote_id == "no operator"
     telemetry.take(REMOTE_ID_STATUS, {"status": 0, "error": ""})
     assert telemetry.state.remote_id == ""
-    telemetry.take("ESTIMATOR_STATUS", {"flags": 63})
+    estimate(telemetry, 63)
     assert telemetry.state.estimate_doubts == ()
-    telemetry.take("ESTIMATOR_STATUS", {"flags": 63 - 1 + mavlink.ESTIMATOR_GPS_GLITCH})
+    estimate(telemetry, 63 - 1 + mavlink.ESTIMATOR_GPS_GLITCH)
     assert telemetry.state.estimate_doubts == ("no attitude", "a GPS glitch")
     assert telemetry.state.num_unreadable == 0
     silent_until(telemetry, 109.0)
@@ -208,8 +212,18 @@ def test_what_is_asked_before_a_take_off_is_read():
 )
 def test_a_good_position_is_absolute_and_measured(flags, is_good):
     telemetry = Telemetry()
-    telemetry.take("ESTIMATOR_STATUS", {"flags": flags})
+    estimate(telemetry, flags)
     assert telemetry.state.is_position_good == is_good
+
+
+@pytest.mark.parametrize(
+    ("told", "accuracy_m"), [(0.4, 0.4), (0.0, None), (-1.0, None), (math.inf, None), (None, None)]
+)
+def test_an_accuracy_that_is_none_is_unknown_and_spoils_nothing_else(told, accuracy_m):
+    telemetry = Telemetry()
+    estimate(telemetry, mavlink.ESTIMATOR_POS_HORIZ_ABS, pos_horiz_accuracy=told)
+    assert telemetry.state.accuracy_m == accuracy_m
+    assert telemetry.state.is_position_good
 
 
 def test_what_is_not_heard_for_ten_seconds_is_not_trusted():
@@ -242,7 +256,7 @@ def test_where_the_estimator_is_silent_other_signs_say_whether_the_position_is_g
 ):
     telemetry = posed(100.0)
     flags = mavlink.ESTIMATOR_POS_HORIZ_ABS if was_good else mavlink.ESTIMATOR_CONST_POS_MODE
-    telemetry.take("ESTIMATOR_STATUS", {"flags": flags})
+    estimate(telemetry, flags)
     silent_until(telemetry, place_s)
     telemetry.take("GLOBAL_POSITION_INT", PLACE)
     silent_until(telemetry, 109.0)
@@ -304,16 +318,16 @@ def test_pose_carries_a_position_along_its_velocity():
 def test_late_messages_are_dropped():
     telemetry = posed(5.0)
     telemetry.take("LOCAL_POSITION_NED", position(5.1, x=7.0))
-    telemetry.take("ESTIMATOR_STATUS", {"flags": 16, "time_usec": 5_100_000})
+    estimate(telemetry, 16, time_usec=5_100_000)
     telemetry.take("LOCAL_POSITION_NED", position(3.6, x=1.0))
     telemetry.take("ATTITUDE", attitude(3.6, yaw=1.0))
-    telemetry.take("ESTIMATOR_STATUS", {"flags": 0, "time_usec": 3_600_000})
+    estimate(telemetry, 0, time_usec=3_600_000)
     telemetry.take("ATTITUDE", attitude(5.1))
     assert telemetry.pose.time_s == 5.1
     assert telemetry.pose.position_ned_m[0] == 7.0
     assert telemetry.state.is_position_good
     assert telemetry.state.num_unreadable == 0
-    telemetry.take("ESTIMATOR_STATUS", {"flags": 0, "time_usec": 1_800_000_000_000_000})
+    estimate(telemetry, 0, time_usec=1_800_000_000_000_000)
     assert not telemetry.state.is_position_good
 
 

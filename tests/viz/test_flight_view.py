@@ -31,7 +31,7 @@ from dronemon.events import (
     Stretch,
     TruthTold,
 )
-from dronemon.frames import AreaFrame, ground_to_pixel
+from dronemon.frames import AreaFrame, GeoPoint, ground_to_pixel
 from dronemon.mission import Mission
 from dronemon.mission.schema import Area, Target, View
 from dronemon.types import Detection, Measurement, Picture, Pose
@@ -86,6 +86,7 @@ def area_laid() -> AreaLaid:
     fence_ned_m = AREA.au_to_ned(np.array([[-0.1, -0.1], [-0.1, 1.1], [1.1, 1.1], [1.1, -0.1]]))
     return AreaLaid(
         area=AREA,
+        origin=GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0),
         footprint_radius_m=20.0,
         fence_ned_m=fence_ned_m,
         nodes_au=nodes_au,
@@ -102,6 +103,8 @@ def measured(time_s: float, seen: list[bool], battery: float | None = None) -> M
         time_s=time_s,
         measurement=measurement(seen),
         score=np.array([0.9, 0.9]),
+        pose=pose(time_s),
+        error_m=1.5,
         battery=battery,
         stretch=Stretch(
             pictured_m=0.0,

@@ -4,9 +4,13 @@
     observations.jsonl   one line per measurement
     decisions.jsonl      one line per waypoint chosen
     events.jsonl         one line per event: armed, mode changes, warnings, failures
+    poses.jsonl          one line per second: where the vehicle was
     flight.rrd           pictures, beliefs and time series for the Rerun viewer (written by `viz`);
                          flight-2.rrd and so on: after a resume
     summary.json         `"outcome": "in flight"` from the start, replaced as a whole at the end
+
+Lines have the vehicle's time and the wall clock's, and once the area is laid a place on the globe:
+the vehicle's, of an observation also those of the targets seen, of a decision the waypoint's.
 
 Each line is one write and one fsync (0.2 ms median on a solid-state disk, half a second on one that
 is busy), each in a thread of its own: no setpoint waits for the disk, and no write for an fsync. A
@@ -18,40 +22,46 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
 import itertools
-import json
+import math
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from dronemon.clock import machine_time
 from dronemon.durable import LineWriter, replace_text, write_new
 from dronemon.errors import RecordError
-from dronemon.events import Decided, Event, Measured, Noted
+from dronemon.events import AreaLaid, Decided, Event, Measured, Moved, Noted
+from dronemon.frames import ned_to_geo
 from dronemon.json_values import json_line, json_text
 from dronemon.mission import Mission
 from dronemon.mission.scalars import Dumper
+from dronemon.recorder.folder import (
+    DECISIONS_FILE,
+    EVENTS_FILE,
+    IN_FLIGHT,
+    LINE_FILES,
+    MISSION_FILE,
+    NEEDED_BYTES,
+    OBSERVATIONS_FILE,
+    OTHER_FILES,
+    POSES_FILE,
+    RUN_FILES,
+    SUMMARY_FILE,
+    RunFolder,
+    fingerprint,
+)
+from dronemon.types import FloatArray, Pose
 
-MISSION_FILE = "mission.yaml"
-OBSERVATIONS_FILE = "observations.jsonl"
-DECISIONS_FILE = "decisions.jsonl"
-EVENTS_FILE = "events.jsonl"
-RRD_FILE = "flight.rrd"
-SUMMARY_FILE = "summary.json"
-LINE_FILES = (OBSERVATIONS_FILE, DECISIONS_FILE, EVENTS_FILE)
-RUN_FILES = (MISSION_FILE, *LINE_FILES, RRD_FILE, SUMMARY_FILE)
-TRUTH_FILE, SIMULATOR_LOG = OTHER_FILES = ("truth.jsonl", "simulator.log")
-"""What a simulator writes beside them."""
-IN_FLIGHT = "in flight"
-NEEDED_BYTES = 100_000_000
-"""Free space asked for before a flight; one with 300 pictures takes less than half of it."""
+POSE_INTERVAL_S = 1.0
+"""Vehicle time between two lines that say where it was."""
 
 
 class RunRecorder:
@@ -72,6 +82,9 @@ class RunRecorder:
         """is_new: whether the folder was made for it; before: summary of a run that goes on."""
         self.folder = folder
         self._is_new, self._before = is_new, before
+        self._laid: AreaLaid | None = None
+        self._pose: Pose | None = None
+        self._posed_s = -math.inf
         self._names = tuple(names)
         self._head: dict[str, object] = {"started": _stamp("seconds"), "targets": self._names}
         if before is not None:
@@ -142,23 +155,34 @@ class RunRecorder:
     def take(self, event: Event) -> None:
         """Record what the folder has a line for. Raises RecordError if a line before was lost."""
         match event:
+            case AreaLaid():
+                self._laid = event
+            case Moved():
+                self._move(event.pose)
             case Measured():
                 self._append(OBSERVATIONS_FILE, self._observation(event))
             case Decided():
-                self._append(DECISIONS_FILE, asdict(event))
+                said = asdict(event) | {"wall": self._wall(event.time_s)}
+                self._append(DECISIONS_FILE, said | self._ground(event.waypoint_au))
             case Noted():
-                boot, up_s = machine_time()
-                said: dict[str, object] = {"time_s": event.time_s, "wall": _stamp("milliseconds")}
-                said |= {"boot": boot, "up_s": round(up_s, 3)}
-                said |= {"kind": event.kind, "text": event.text, **event.fields}
-                self._append(EVENTS_FILE, said)
+                self._append(EVENTS_FILE, self._event(event))
         with self._naming_the_disk():
             self._lines.check()
 
+    def _move(self, pose: Pose) -> None:
+        """Remember where the vehicle is, and say so now and then."""
+        self._pose = pose
+        if self._laid is None or 0.0 <= pose.time_s - self._posed_s < POSE_INTERVAL_S:
+            return
+        self._posed_s = pose.time_s
+        said = asdict(pose) | {"wall": _stamp("milliseconds")}
+        self._append(POSES_FILE, said | self._place(pose.position_ned_m))
+
     def _observation(self, event: Measured) -> dict[str, object]:
         measurement = event.measurement
-        return {
+        said = {
             "time_s": event.time_s,
+            "wall": self._wall(event.time_s),
             "time_au": measurement.time_au,
             "agent_au": measurement.agent_au,
             "battery": event.battery,
@@ -166,11 +190,45 @@ class RunRecorder:
             "stretch": asdict(event.stretch),
             "targets": {
                 name: {"seen": seen, "position_au": position if seen else None, "score": confidence}
+                | (self._ground(position) | {"error_m": event.error_m} if seen else {})
                 for name, seen, position, confidence in zip(
                     self._names, measurement.seen, measurement.target_au, event.score, strict=True
                 )
             },
         }
+        return said | self._place(event.pose.position_ned_m)
+
+    def _event(self, event: Noted) -> dict[str, object]:
+        boot, up_s = machine_time()
+        said = {"time_s": event.time_s, "wall": _stamp("milliseconds")}
+        said |= {"boot": boot, "up_s": round(up_s, 3), "kind": event.kind, "text": event.text}
+        where = self._place(self._pose.position_ned_m) if self._pose else {}
+        return said | where | dict(event.fields)
+
+    def _ground(self, position_au: FloatArray) -> dict[str, object]:
+        """A place of the area on the globe; nothing before the area is laid."""
+        if self._laid is None:
+            return {}
+        area = self._laid.area
+        return self._place((*area.au_to_ned(position_au), area.ground_down_m))
+
+    def _place(self, position_ned_m: Sequence[float]) -> dict[str, object]:
+        """A place on the globe, to the centimetre; nothing before the area is laid."""
+        if self._laid is None:
+            return {}
+        point = ned_to_geo(np.array(position_ned_m), self._laid.origin)
+        return {
+            "place": {
+                "latitude_deg": round(point.latitude_deg, 7),
+                "longitude_deg": round(point.longitude_deg, 7),
+                "altitude_m": round(point.altitude_m, 2),
+            }
+        }
+
+    def _wall(self, time_s: float) -> str:
+        """Wall time of a vehicle time that has just passed."""
+        passed_s = self._pose.time_s - time_s if self._pose else 0.0
+        return _stamp("milliseconds", ago_s=passed_s)
 
     @property
     def lost_lines(self) -> int:
@@ -213,7 +271,7 @@ class RunRecorder:
             self.flush()
         try:
             files = {
-                name: _fingerprint(self.folder.path / name)
+                name: fingerprint(self.folder.path / name)
                 for name in (*RUN_FILES, *self.folder.more_recordings())
                 if name != SUMMARY_FILE and (self.folder.path / name).exists()
             }
@@ -248,81 +306,6 @@ class RunRecorder:
         replace_text(self.folder.path / SUMMARY_FILE, json_text({**self._head, **summary}))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunFolder:
-    """Reads one run folder, finished or not."""
-
-    path: Path
-
-    @classmethod
-    def open(cls, path: Path) -> RunFolder:
-        """Open an existing run. Raises RecordError if `path` is not one."""
-        for name in (SUMMARY_FILE, MISSION_FILE, *LINE_FILES):
-            if not (path / name).is_file():
-                raise RecordError(f"{path} is no run folder: it has no {name}")
-        return cls(path=path)
-
-    def is_flown(self) -> bool:
-        """Whether a program flies it now."""
-        with (self.path / MISSION_FILE).open("rb") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return True
-        return False
-
-    @property
-    def rrd_path(self) -> Path:
-        """Where the Rerun recording is."""
-        return self.path / RRD_FILE
-
-    def more_recordings(self) -> list[str]:
-        """Names of the recordings after each resume."""
-        return sorted(file.name for file in self.path.glob("flight-*.rrd"))
-
-    def new_rrd_path(self) -> Path:
-        """Where the next Rerun recording goes."""
-        if not self.rrd_path.exists():
-            return self.rrd_path
-        return self.path / f"flight-{len(self.more_recordings()) + 2}.rrd"
-
-    def mission_text(self) -> str:
-        """Read the mission as flown."""
-        return (self.path / MISSION_FILE).read_bytes().decode()
-
-    def summary(self) -> dict[str, Any]:
-        """Read the summary; its outcome is `in flight` if the program never came to the end."""
-        file = self.path / SUMMARY_FILE
-        try:
-            return dict(json.loads(file.read_text(encoding="utf-8")))
-        except (TypeError, ValueError) as exc:
-            raise RecordError(f"{file} is damaged: {exc}") from exc
-
-    def observations(self) -> Iterator[dict[str, Any]]:
-        """Read the measurements in order."""
-        return _read_lines(self.path / OBSERVATIONS_FILE)
-
-    def decisions(self) -> Iterator[dict[str, Any]]:
-        """Read the waypoints chosen, in order."""
-        return _read_lines(self.path / DECISIONS_FILE)
-
-    def events(self) -> Iterator[dict[str, Any]]:
-        """Read the events in order."""
-        return _read_lines(self.path / EVENTS_FILE)
-
-    def damaged_files(self) -> list[str]:
-        """List the files that are missing or not as `finish` left them.
-
-        Rerun's own check finds a file cut short, but no flipped bytes.
-        """
-        files: dict[str, object] = self.summary().get("files", {})
-        return [
-            name
-            for name, fingerprint in files.items()
-            if not (self.path / name).exists() or _fingerprint(self.path / name) != fingerprint
-        ]
-
-
 def _as_flown(mission: Mission) -> str:
     """The mission with every default and override, as a file that can be flown again."""
     data = mission.model_dump(mode="json", exclude_none=True)
@@ -335,8 +318,8 @@ def _now() -> datetime:
     return datetime.now(UTC).astimezone()
 
 
-def _stamp(precision: str) -> str:
-    return _now().isoformat(timespec=precision)
+def _stamp(precision: str, ago_s: float = 0.0) -> str:
+    return (_now() - timedelta(seconds=ago_s)).isoformat(timespec=precision)
 
 
 def _new_folder(root: Path, mission_name: str) -> Path:
@@ -369,23 +352,3 @@ def _check_space(path: Path, needed_bytes: int) -> None:
             f"{free_bytes / 1e6:.0f} MB are free at {path}, a flight needs"
             f" {needed_bytes / 1e6:.0f} MB; free some space or choose another disk with --out"
         )
-
-
-def _fingerprint(path: Path) -> dict[str, object]:
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256")
-    return {"bytes": path.stat().st_size, "sha256": digest.hexdigest()}
-
-
-def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
-    """Read a file of JSON lines; a last line damaged by a crash is left out."""
-    with path.open("rb") as file:
-        for number, line in enumerate(file, start=1):
-            try:
-                record = json.loads(line)
-            except ValueError as exc:
-                if not file.read(1):
-                    return
-                raise RecordError(f"{path}, line {number} is damaged: {exc}") from exc
-            if line.endswith(b"\n"):
-                yield record
