@@ -33,6 +33,12 @@ class Arena:
         return np.array([self.low_au, self.high_au])
 
     @property
+    def outline_au(self) -> FloatArray:
+        """Corners, as a walk around it. -> (4, 2) float64 au."""
+        (left, bottom), (right, top) = self.low_au, self.high_au
+        return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
+
+    @property
     def extent_au(self) -> FloatArray:
         """Width and height. -> (2,) float64 au."""
         low, high = self.bounds

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dronemon.camera import FrameSource, SimulatedCamera, VideoCamera
+from dronemon.camera import CropKeeper, FrameSource, SimulatedCamera, VideoCamera
 from dronemon.errors import DronemonError, LinkTimeout, VehicleError
 from dronemon.events import Subscriber, TruthTold
 from dronemon.feasibility import make_planner
@@ -172,7 +172,8 @@ def _open_views(
     view = stack.enter_context(FlightView(folder.new_rrd_path(), mission))
     if view.url:
         console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
-    return view, stack.enter_context(FlightDisplay(console))
+    crops = stack.enter_context(CropKeeper(folder.path, mission))
+    return view, crops, stack.enter_context(FlightDisplay(console))
 
 
 async def assemble_and_inspect(

@@ -341,6 +341,14 @@ def explain(context: typer.Context) -> None:
     _hand_on(context, explain_command)
 
 
+@app.command("export", add_help_option=False, context_settings=_REST)
+def export(context: typer.Context) -> None:
+    """Write a flight's sightings and track for maps: GeoJSON, CSV, KMZ, GPX, Cursor-on-Target."""
+    from dronemon.export.command import export_command
+
+    _hand_on(context, export_command)
+
+
 @app.command("evaluate", add_help_option=False, context_settings=_REST)
 def evaluate(context: typer.Context) -> None:
     """Measure planners on simulated instances, and compare them with the paper's figures."""

@@ -25,6 +25,7 @@ LAYERS = {
     "workers": 0,
     "waiting": 0,
     "terminal": 0,
+    "palette": 0,
     "sightings": 1,
     "belief": 1,
     "roadmap": 1,
@@ -47,6 +48,7 @@ LAYERS = {
     "cli": 5,
     "flight_options": 1,
     "explain": 5,
+    "export": 5,
     "feasibility": 5,
     "simulator": 5,
 }
@@ -68,6 +70,7 @@ ORDER_IN_LAYER_0 = (
     "workers",
     "waiting",
     "terminal",
+    "palette",
 )
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
 PLACES = {
@@ -76,6 +79,7 @@ PLACES = {
     "cv2": {"vision", "camera"},
     "pymavlink": {"vehicle"},
     "matplotlib": {"evaluation", "explain"},
+    "shapely": {"export"},
 }
 
 

@@ -1,7 +1,15 @@
 """Cameras: where pictures come from."""
 
+from dronemon.camera.crops import CropKeeper, crop_path
 from dronemon.camera.simulated import SimulatedCamera
 from dronemon.camera.source import FrameSource, check_picture
 from dronemon.camera.video import VideoCamera
 
-__all__ = ["FrameSource", "SimulatedCamera", "VideoCamera", "check_picture"]
+__all__ = [
+    "CropKeeper",
+    "FrameSource",
+    "SimulatedCamera",
+    "VideoCamera",
+    "check_picture",
+    "crop_path",
+]

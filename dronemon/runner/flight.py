@@ -11,7 +11,7 @@ from functools import partial
 
 from dronemon.energy import RETURN_PARAMETERS
 from dronemon.errors import DronemonError, PlannerError, RecordError, VehicleError
-from dronemon.events import EventStream
+from dronemon.events import EventStream, Moved
 from dronemon.frames import AreaFrame
 from dronemon.guard import State
 from dronemon.preflight import Sight, Verdict, against
@@ -34,6 +34,8 @@ NOT_STARTED_AGAIN = "it did not take off again: the motors were not started"
 DOWN = "the drone is down, and its motors are off"
 _RESET_LIMIT_S = 30.0
 """Wall time for the planner to begin a mission, as it has done in the rehearsal."""
+_POSE_INTERVAL_S = 0.1
+"""Wall time between two poses that are told outside the patrol."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +147,10 @@ class _Flight:
         async with contextlib.AsyncExitStack() as self._exit:  # closes the camera
             self._exit.enter_context(self._changes)
             async with asyncio.TaskGroup() as self._meanwhile:
-                listening = self._beside(self._tell_texts, "texts")
+                listening = [
+                    self._beside(self._tell_texts, "texts"),
+                    self._beside(self._tell_poses, "poses"),
+                ]
                 try:
                     if await supervisor.carry_out(
                         State.PREPARING, self._prepare
@@ -158,7 +163,8 @@ class _Flight:
                         words = last_seen(self._link).words + self._changes.last_words()
                         self._events.note("last word", words, level="ERROR")
                     await self._leave_as_found()
-                    listening.cancel()
+                    for task in listening:
+                        task.cancel()
             self._tell_losses()
             self._events.note("outcome", supervisor.outcome)
 
@@ -363,6 +369,15 @@ class _Flight:
             for said in await self._link.next_texts():
                 with contextlib.suppress(RecordError):  # the patrol's next line meets it too
                     self._events.note("autopilot", said.text, level=said.level)
+
+    async def _tell_poses(self) -> None:
+        """Tell where the vehicle is from arming to the end; the patrol tells it by itself."""
+        while True:
+            await asyncio.sleep(_POSE_INTERVAL_S)
+            is_ours = self._supervisor.was_armed and self._supervisor.state is not State.PATROLLING
+            if is_ours and self._patrol is not None and not self._patrol.has_origin_moved():
+                with contextlib.suppress(RecordError):  # the patrol's next line meets it too
+                    self._events.emit(Moved(pose=self._link.pose))
 
     def _distance_from_home_m(self) -> float | None:
         is_told = self._patrol is not None and not self._patrol.has_origin_moved()

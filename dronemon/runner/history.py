@@ -46,6 +46,16 @@ class Laid:
         """Of the area, on the globe."""
         return ned_to_geo(np.array([*self.frame.centre_ned_m, 0.0]), self.origin)
 
+    @classmethod
+    def told_by(cls, event: Mapping[str, Any]) -> Laid:
+        """What the line of a vehicle that is ready says."""
+        frame = event["frame"]
+        return cls(
+            frame=AreaFrame(**{**frame, "centre_ned_m": tuple(frame["centre_ned_m"])}),
+            origin=GeoPoint(**event["origin"]),
+            fence_ned_m=np.array(event["fence_ned_m"], dtype=np.float64),
+        )
+
     def holds_with(self, origin: GeoPoint) -> bool:
         """Whether the local frame of then is that of this origin."""
         return math.hypot(*geo_to_ned(origin, self.origin)[:2]) < ORIGIN_DOUBT_M
@@ -196,7 +206,7 @@ def _read(folder: RunFolder, mission: Mission, priors_au: FloatArray) -> History
     events = list(folder.events())
     newest = _newest(folder, events)
     latest = {event["kind"]: event for event in events}
-    laid = _laid(latest["ready"]) if "ready" in latest else None
+    laid = Laid.told_by(latest["ready"]) if "ready" in latest else None
     armed = latest.get("armed")
     decisions = list(folder.decisions())
     control = [event["kind"] for event in events if event["kind"] in _CONTROL]
@@ -217,15 +227,6 @@ def _read(folder: RunFolder, mission: Mission, priors_au: FloatArray) -> History
         waypoint_au=np.array(decisions[-1]["waypoint_au"]) if decisions else None,
         node=decisions[-1]["node"] if decisions else None,
         is_pilots=control[-1:] == [_TAKEN],
-    )
-
-
-def _laid(event: Mapping[str, Any]) -> Laid:
-    frame = event["frame"]
-    return Laid(
-        frame=AreaFrame(**{**frame, "centre_ned_m": tuple(frame["centre_ned_m"])}),
-        origin=GeoPoint(**event["origin"]),
-        fence_ned_m=np.array(event["fence_ned_m"], dtype=np.float64),
     )
 
 

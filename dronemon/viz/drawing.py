@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from dronemon.arena import ARENA
 from dronemon.events import (
     AreaLaid,
     Believed,
@@ -22,6 +23,7 @@ from dronemon.events import (
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.mission import Mission
+from dronemon.palette import Rgb, target_rgb
 from dronemon.types import FloatArray, Pose
 from dronemon.viz.entities import (
     BLUE,
@@ -30,7 +32,6 @@ from dronemon.viz.entities import (
     SERIES,
     TIMELINE,
     WHITE,
-    Rgb,
     au_to_map,
     belief_rgb,
     dots,
@@ -39,13 +40,11 @@ from dronemon.viz.entities import (
     ned_to_map,
     path,
     rings,
-    target_rgb,
 )
 
 JPEG_QUALITY = 80
 TRAJECTORY_INTERVAL_S = 0.5
 _CLOCK_DOUBT_S = 5.0
-_SQUARE_AU = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=np.float64)
 _ARROW = np.array([[-0.6, 0.8], [0.0, -1.0], [0.6, 0.8], [0.0, 0.4], [-0.6, 0.8]])
 _COLORMAPS = {"mean": rr.components.Colormap.Inferno, "std": rr.components.Colormap.Viridis}
 
@@ -102,7 +101,8 @@ class Drawing:
         """Keep the area; draw border, fence, roadmap, and the vehicle that is moved over them."""
         log, area = self._rec.log, event.area
         self._area, self._radius_m = area, event.footprint_radius_m
-        log("map/area", lines([au_to_map(_SQUARE_AU, area)], GREY, 1.0, order=5), static=True)
+        border = au_to_map(np.concatenate([ARENA.outline_au, ARENA.outline_au[:1]]), area)
+        log("map/area", lines([border], GREY, 1.0, order=5), static=True)
         fence = ned_to_map(np.concatenate([event.fence_ned_m, event.fence_ned_m[:1]]), area)
         log("map/fence", lines([fence], BLUE, 1.0, order=5), static=True)
         footprint = rings(None, self._radius_m, WHITE, 1.0, order=30)

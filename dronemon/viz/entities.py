@@ -24,6 +24,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dronemon.frames import AreaFrame
+from dronemon.palette import Rgb, target_rgb
 from dronemon.types import FloatArray, ImageArray
 
 TIMELINE = "vehicle_time"
@@ -36,28 +37,12 @@ SERIES = {
     "decision_ms": "Decision time (ms)",
 }
 """Time series about the vehicle and their titles."""
-Rgb = tuple[int, int, int]
 WHITE = (240, 244, 250)
 GREY = (150, 160, 178)
 DARK = (62, 70, 84)
 BLUE = (122, 162, 247)
 FOG_RGB = np.array([[14, 18, 26], [96, 106, 122]], dtype=np.float64)
 """Ground of the belief map where every target's standard deviation is 0, and where it is 1."""
-TARGET_RGB = (
-    (255, 166, 48),
-    (77, 196, 255),
-    (84, 224, 141),
-    (255, 111, 168),
-    (255, 225, 77),
-    (181, 140, 255),
-    (255, 90, 77),
-    (53, 214, 200),
-)
-
-
-def target_rgb(index: int) -> Rgb:
-    """Colour of the target with this number."""
-    return TARGET_RGB[index % len(TARGET_RGB)]
 
 
 def path(*parts: str) -> str:

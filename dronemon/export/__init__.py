@@ -1,0 +1,1 @@
+"""A run for other programs: maps, tables, tracks and sightings on the globe."""

@@ -1,0 +1,48 @@
+"""`dronemon export`: its options and their help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dronemon.errors import OptionError
+from dronemon.export.formats import FORMATS, write_all
+from dronemon.export.story import read_story, redacted
+from dronemon.recorder import RunFolder
+from dronemon.terminal import console
+
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
+ToOption = Annotated[Path, typer.Option("--to", help="Folder for the files.", show_default=False)]
+RedactOption = Annotated[
+    float | None,
+    typer.Option(
+        "--redact",
+        min=1.0,
+        metavar="METRES",
+        help="Give places only to this many metres, and no pictures: who hunts reads maps, too.",
+        show_default="exact",
+    ),
+]
+
+
+def export_command(run: RunArgument, to: ToOption, redact: RedactOption = None) -> None:
+    """Write a flight's sightings and track for maps: GeoJSON, CSV, KMZ, GPX, Cursor-on-Target."""
+    story = read_story(RunFolder.open(run))
+    if redact is not None:
+        story = redacted(story, redact)
+    if taken := [name for name in FORMATS if (to / name).exists()]:
+        raise OptionError(f"--to {to}: already holds {', '.join(taken)}; choose another folder")
+    try:
+        written = write_all(story, to)
+    except OSError as exc:
+        raise OptionError(f"--to {to}: cannot be written: {exc.strerror}") from exc
+    for path in written:
+        console.print(path, soft_wrap=True, markup=False, highlight=False)
+    num_targets = len({sighting.target for sighting in story.sightings})
+    console.print(
+        f"{len(story.sightings)} sightings of {num_targets} targets, {len(story.track)} places of"
+        " the drone",
+        highlight=False,
+    )

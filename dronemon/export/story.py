@@ -1,0 +1,164 @@
+"""What a run says of places on the globe, read once for every format."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dronemon.arena import ARENA
+from dronemon.camera import crop_path
+from dronemon.errors import RecordError
+from dronemon.frames import GeoPoint, ned_to_geo
+from dronemon.mission import Mission, load_mission
+from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.runner.history import Laid, understanding
+
+_EARTH_DEGREE_M = 111_320.0
+"""Length of a degree of latitude."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fix:
+    """Where the vehicle was."""
+
+    time: datetime
+    place: GeoPoint
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sighting:
+    """A target seen in a picture.
+
+    number:  of the target among the mission's
+    error_m: radius about the place in which it truly is, in 95 of 100
+    score:   the detector's confidence, 0 to 1
+    crop:    the part of the picture that shows it, None where it was not kept
+    """
+
+    number: int
+    target: str
+    appearance: str
+    time: datetime
+    place: GeoPoint
+    error_m: float
+    score: float | None
+    crop: Path | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Story:
+    """A run on the globe; all times are UTC.
+
+    corners: of the area, as a walk around it
+    home:    where it was armed, None if it never was
+    """
+
+    name: str
+    started: datetime
+    corners: tuple[GeoPoint, ...]
+    home: GeoPoint | None
+    track: tuple[Fix, ...]
+    sightings: tuple[Sighting, ...]
+
+
+def read_story(folder: RunFolder) -> Story:
+    """Read a run, finished or not. Raises RecordError if it has no places."""
+    mission = load_mission(folder.path / MISSION_FILE).mission
+    with understanding(folder):
+        events = list(folder.events())
+        laid = [Laid.told_by(event) for event in events if event["kind"] == "ready"]
+        if not laid:
+            raise RecordError(
+                f"{folder.path}: its area was never laid over the ground, so nothing of it can be"
+                " put on a map"
+            )
+        armed = [event for event in events if event["kind"] == "armed"]
+        return Story(
+            name=mission.name,
+            started=_utc(folder.summary()["started"]),
+            corners=tuple(_corners(laid[-1])),
+            home=ned_to_geo(np.array(armed[-1]["home_ned_m"]), laid[-1].origin) if armed else None,
+            track=tuple(
+                Fix(time=_utc(pose["wall"]), place=GeoPoint(**pose["place"]))
+                for pose in folder.poses()
+            ),
+            sightings=tuple(
+                sighting
+                for line in folder.observations()
+                for sighting in _sightings(folder.path, line, mission)
+            ),
+        )
+
+
+def _corners(laid: Laid) -> list[GeoPoint]:
+    down_m = laid.frame.ground_down_m
+    corners_ned_m = laid.frame.au_to_ned(ARENA.outline_au)
+    return [ned_to_geo(np.array([*corner, down_m]), laid.origin) for corner in corners_ned_m]
+
+
+def _sightings(run: Path, line: Mapping[str, Any], mission: Mission) -> list[Sighting]:
+    found = []
+    for number, target in enumerate(mission.targets):
+        told = line["targets"][target.name]
+        if not told["seen"]:
+            continue
+        crop = crop_path(run, line["time_s"], number, target.name)
+        found.append(
+            Sighting(
+                number=number,
+                target=target.name,
+                appearance=target.appearance,
+                time=_utc(line["wall"]),
+                place=GeoPoint(**told["place"]),
+                error_m=told["error_m"],
+                score=told["score"],
+                crop=crop if crop.is_file() else None,
+            )
+        )
+    return found
+
+
+def _utc(stamp: str) -> datetime:
+    return datetime.fromisoformat(stamp).astimezone(UTC)
+
+
+def redacted(story: Story, cell_m: float) -> Story:
+    """The same story, coarse: places are centres of cells of this side, and no picture is kept.
+
+    What keeps endangered animals from those who would hunt them.
+    """
+
+    def coarse(place: GeoPoint) -> GeoPoint:
+        row_deg = cell_m / _EARTH_DEGREE_M
+        latitude_deg = (math.floor(place.latitude_deg / row_deg) + 0.5) * row_deg
+        # By the row's middle, so that all of a row have the same columns.
+        shrunk = max(math.cos(math.radians(latitude_deg)), 1e-6)
+        column_deg = min(row_deg / shrunk, 360.0)
+        longitude_deg = (math.floor(place.longitude_deg / column_deg) + 0.5) * column_deg
+        return GeoPoint(
+            latitude_deg=max(-90.0, min(90.0, latitude_deg)),
+            longitude_deg=max(-180.0, min(180.0, longitude_deg)),
+        )
+
+    away_m = cell_m / math.sqrt(2.0)  # from a cell's centre to its corner
+    track: list[Fix] = []
+    for fix in story.track:
+        place = coarse(fix.place)
+        if not track or place != track[-1].place:
+            track.append(replace(fix, place=place))
+    return replace(
+        story,
+        corners=(),
+        home=None,
+        track=tuple(track),
+        sightings=tuple(
+            replace(s, place=coarse(s.place), error_m=away_m + s.error_m, crop=None)
+            for s in story.sightings
+        ),
+    )

@@ -1,0 +1,267 @@
+"""A flight's places, written for other programs and read back by theirs."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import fastkml
+import gpxpy
+import numpy as np
+import pymap3d
+import pytest
+import virtual_time
+from fake_link import ORIGIN, FakeCamera, FakeLink
+from fastkml.validator import validate
+from geojson_pydantic import FeatureCollection
+
+from dronemon import cli
+from dronemon.camera import CropKeeper
+from dronemon.errors import DronemonError, OptionError, RecordError
+from dronemon.export.formats import FORMATS, geojson, gpx, kml, write_all
+from dronemon.export.story import Fix, Sighting, Story, read_story, redacted
+from dronemon.frames import GeoPoint
+from dronemon.mission import load_mission
+from dronemon.planner.lawnmower import Lawnmower
+from dronemon.recorder import RunFolder, RunRecorder
+from dronemon.runner import FlightSetup, Interrupts, fly_mission
+from dronemon.types import Detection
+
+MISSION = """
+name: Reserve & <north>
+area: {side_m: 100, heading_deg: 30}
+flight: {altitude_m: 22, cruise_speed_m_s: 5, horizon_au: 1, start_au: [0.5, 0.4]}
+targets:
+  - {name: "Bella <1>", appearance: cow, prior_au: [0.4, 0.6]}
+  - {name: Zürä, appearance: zebra}
+"""
+PLACES = {
+    "north-east": (47.4, 8.5),
+    "south-west": (-33.9, -70.6),
+    "at 180 degrees": (-17.0, 179.9999),
+    "at zero": (0.0, 0.0),
+}
+WHEN = datetime(2026, 11, 27, 12, 0, 0, 250_000, tzinfo=UTC)
+
+
+class Below:
+    """Sees the cow below itself in every picture."""
+
+    def detect(self, *_: object) -> tuple[Detection, ...]:
+        return (Detection(appearance="cow", pixel_px=(320.0, 240.0), score=0.9),)
+
+
+async def fly(folder: Path) -> None:
+    (folder / "m.yaml").write_text(MISSION)
+    file = load_mission(folder / "m.yaml")
+    with RunRecorder.create(file.mission, out=folder / "run") as recorder:
+        async with FakeLink() as link:
+            with CropKeeper(recorder.folder.path, file.mission) as crops:
+                result = await fly_mission(
+                    FlightSetup(
+                        file=file,
+                        link=link,
+                        camera=FakeCamera(link, 640, 480),
+                        detector=Below(),
+                        planner=Lawnmower(),
+                        priors_au=np.array([[0.4, 0.6], [np.nan, np.nan]]),
+                        record=recorder,
+                        watchers=(crops,),
+                        interrupts=Interrupts(),
+                    )
+                )
+        recorder.finish(result.outcome, {})
+    assert crops.dropped == 0
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flown")
+    virtual_time.run(fly(folder))
+    return folder / "run"
+
+
+def export(*options: object) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.app(["export", *map(str, options)], standalone_mode=False)
+    assert ended.value.code == 0
+
+
+def place(latitude_deg: float, longitude_deg: float, north_m: float, east_m: float) -> GeoPoint:
+    lat, lon, _ = pymap3d.ned2geodetic(north_m, east_m, 0.0, latitude_deg, longitude_deg, 0.0)
+    return GeoPoint(latitude_deg=float(lat), longitude_deg=float(lon), altitude_m=12.0)
+
+
+def made_story(where: str) -> Story:
+    """A square of 200 m, a track once across it and back, and a sighting in its east."""
+    at = PLACES[where]
+    corners = [(-100, -100), (-100, 100), (100, 100), (100, -100)]
+    sighting = Sighting(
+        number=0,
+        target="Bella",
+        appearance="cow",
+        time=WHEN,
+        place=place(*at, 30.0, 60.0),
+        error_m=1.5,
+        score=0.9,
+        crop=None,
+    )
+    walk = [(0, -90), (10, 90), (20, -90)]
+    return Story(
+        name="made",
+        started=WHEN,
+        corners=tuple(place(*at, north, east) for north, east in corners),
+        home=place(*at, 0.0, 0.0),
+        track=tuple(Fix(time=WHEN, place=place(*at, *step)) for step in walk),
+        sightings=(sighting,),
+    )
+
+
+def offset_m(lonlat: Sequence[float], origin: Sequence[float]) -> tuple[float, float]:
+    """North and east of another longitude and latitude."""
+    north, east, _ = pymap3d.geodetic2ned(lonlat[1], lonlat[0], 0.0, origin[1], origin[0], 0.0)
+    return float(north), float(east)
+
+
+def away_m(longitude_deg: float, latitude_deg: float, point: GeoPoint) -> float:
+    origin = point.longitude_deg, point.latitude_deg
+    return math.hypot(*offset_m((longitude_deg, latitude_deg), origin))
+
+
+def of_kind(collection: dict[str, Any], kind: str) -> list[dict[str, Any]]:
+    return [f for f in collection["features"] if f["properties"]["kind"] == kind]
+
+
+def test_a_flight_is_written_in_every_format_and_read_back(flown: Path, tmp_path: Path) -> None:
+    export(flown, "--to", tmp_path)
+    story = read_story(RunFolder.open(flown))
+    assert len(story.sightings) >= 8
+    assert len(story.track) > 20
+    assert {path.name for path in tmp_path.iterdir()} == {*FORMATS, "pictures"}
+    collection = json.loads((tmp_path / "sightings.geojson").read_text())
+    FeatureCollection(**collection)
+    (area,) = of_kind(collection, "area")
+    ring = area["geometry"]["coordinates"][0]
+    legs = [offset_m(ring[k + 1], ring[k]) for k in range(4)]
+    assert [math.hypot(*leg) for leg in legs] == pytest.approx([100.0] * 4, abs=0.1)
+    bearings_deg = [math.degrees(math.atan2(east, north)) % 90.0 for north, east in legs]
+    assert bearings_deg == pytest.approx([30.0] * 4, abs=0.1)
+    assert ring[0] == ring[-1]
+    seen = of_kind(collection, "sighting")
+    rows = list(csv.DictReader((tmp_path / "sightings.csv").read_text("utf-8").splitlines()))
+    assert len(seen) == len(rows) == len(story.sightings)
+    for feature, row, told in zip(seen, rows, story.sightings, strict=True):
+        assert away_m(*feature["geometry"]["coordinates"], told.place) < 0.02
+        assert away_m(float(row["longitude_deg"]), float(row["latitude_deg"]), told.place) < 0.02
+        assert row["target"] == feature["properties"]["target"] == "Bella <1>"
+        assert row["time"] == feature["properties"]["time"] == told.time.isoformat()[:23] + "Z"
+        assert 0.0 < float(row["error_m"]) < 10.0
+        picture = cv2.imread(str(tmp_path / row["picture"]))
+        assert picture.shape == (96, 96, 3)
+    track = gpxpy.parse((tmp_path / "track.gpx").read_text())
+    assert len(track.waypoints) == len(seen)
+    (points,) = ([*segment.points] for t in track.tracks for segment in t.segments)
+    assert [p.time for p in points] == sorted(p.time for p in points)
+    assert max(p.elevation for p in points) == pytest.approx(ORIGIN.altitude_m + 22.0, abs=1.0)
+    with zipfile.ZipFile(tmp_path / "run.kmz") as archive:
+        shown = archive.read("doc.kml")
+        pictures = {name for name in archive.namelist() if name.startswith("pictures/")}
+    assert len(pictures) == len(seen)
+    assert all(f'src="{name}"' in shown.decode().replace("&quot;", '"') for name in pictures)
+    events = ElementTree.parse(tmp_path / "sightings.cot").getroot()
+    (event,) = events
+    point = event.find("point")
+    assert point is not None
+    assert (
+        away_m(float(point.get("lon", "")), float(point.get("lat", "")), story.sightings[-1].place)
+        < 0.02
+    )
+    assert event.get("uid") == "dronemon.Reserve & <north>.Bella <1>"
+
+
+@pytest.mark.parametrize("where", PLACES)
+def test_every_hemisphere_is_where_it_is(where: str, tmp_path: Path) -> None:
+    story = made_story(where)
+    sighting = story.sightings[0]
+    collection = json.loads(geojson(story))
+    FeatureCollection(**collection)
+    (seen,) = of_kind(collection, "sighting")
+    assert away_m(*seen["geometry"]["coordinates"], sighting.place) < 0.02
+    for kind in ("area", "track"):
+        (feature,) = of_kind(collection, kind)
+        geometry = feature["geometry"]
+        is_cut = geometry["type"].startswith("Multi")
+        assert is_cut == (where == "at 180 degrees")
+        parts = geometry["coordinates"] if is_cut else [geometry["coordinates"]]
+        for part in parts:
+            ring = np.array(part[0] if kind == "area" else part)
+            assert np.ptp(ring[:, 0]) < 1.0  # not around the world
+            assert np.abs(ring[:, 0]).max() <= 180.0
+            if kind == "area":  # counter-clockwise
+                x, y = (ring - ring[0]).T
+                assert float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) > 0.0
+    waypoint = gpxpy.parse(gpx(story).decode()).waypoints[0]
+    assert away_m(waypoint.longitude, waypoint.latitude, sighting.place) < 0.02
+    file = tmp_path / "doc.kml"
+    file.write_bytes(kml(story))
+    assert validate(file_to_validate=file)
+    document = next(iter(fastkml.KML.parse(file).features))
+    marks = {mark.name: mark for mark in document.features}
+    assert set(marks) == {"Area", "Track", "Bella"}
+    assert away_m(*marks["Bella"].geometry.coords[0][:2], sighting.place) < 0.02
+    assert marks["Bella"].time_stamp.dt == WHEN
+
+
+@pytest.mark.parametrize("where", PLACES)
+def test_what_is_redacted_is_coarse_and_nothing_says_more(where: str, tmp_path: Path) -> None:
+    story = made_story(where)
+    near = [
+        replace(story.sightings[0], place=place(*PLACES[where], 30.0 + 0.1 * k, 60.0))
+        for k in range(5)
+    ]
+    crop = tmp_path / "crop.jpg"
+    crop.write_bytes(b"a picture")
+    coarse = redacted(replace(story, sightings=tuple(replace(s, crop=crop) for s in near)), 1000.0)
+    assert len({s.place for s in coarse.sightings}) <= 2
+    for shown, true in zip(coarse.sightings, near, strict=True):
+        off_m = away_m(shown.place.longitude_deg, shown.place.latitude_deg, true.place)
+        assert off_m <= shown.error_m
+        assert shown.place.altitude_m == 0.0
+    written = write_all(coarse, tmp_path / "out")
+    assert not (tmp_path / "out" / "pictures").exists()
+    text = b"".join(p.read_bytes() for p in written if p.suffix != ".kmz") + kml(coarse)
+    for fix in (*story.track, *near):
+        assert f"{fix.place.latitude_deg:.5f}".encode() not in text
+        assert f"{fix.place.longitude_deg:.5f}".encode() not in text
+
+
+def test_what_cannot_be_exported_says_what_to_do(flown: Path, tmp_path: Path) -> None:
+    export(flown, "--to", tmp_path / "a")
+    with pytest.raises(OptionError, match=r"already holds sightings\.geojson"):
+        export(flown, "--to", tmp_path / "a")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OptionError, match="cannot be written"):
+        export(flown, "--to", tmp_path / "file")
+    with pytest.raises(RecordError, match="no run folder"):
+        export(tmp_path / "a", "--to", tmp_path / "b")
+    spoilt = tmp_path / "spoilt"
+    spoilt.mkdir()
+    for file in flown.iterdir():
+        if file.is_file():
+            (spoilt / file.name).write_bytes(file.read_bytes())
+    events = (spoilt / "events.jsonl").read_text().splitlines(keepends=True)
+    (spoilt / "events.jsonl").write_text("".join(e for e in events if '"ready"' not in e))
+    with pytest.raises(RecordError, match="never laid over the ground"):
+        export(spoilt, "--to", tmp_path / "b")
+    (spoilt / "events.jsonl").write_text("".join(e.replace('"origin"', '"o"') for e in events))
+    with pytest.raises(DronemonError, match="not those of this version"):
+        export(spoilt, "--to", tmp_path / "b")
