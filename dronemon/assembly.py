@@ -29,7 +29,6 @@ from dronemon.runner import (
     Interrupts,
     fly_mission,
     inspect_vehicle,
-    mission_kernel,
     rehearse,
 )
 from dronemon.runner.history import History, Newest, read_history, read_newest
@@ -84,12 +83,7 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
             else:
                 recorder.finish("failed", {"error": str(exc) or repr(exc)})
             raise
-        sum_up = partial(
-            summarise,
-            side_m=mission.area.side_m,
-            target_names=tuple(target.name for target in mission.targets),
-            kernel=mission_kernel(mission),
-        )
+        sum_up = partial(summarise, mission=mission, place_of=recorder.ground_place)
         try:
             summary = sum_up(result, truth=truth)
             recorder.finish(result.outcome, summary.as_json())

@@ -121,11 +121,13 @@ def fly_command(
     import asyncio
 
     from dronemon.assembly import Request, assemble_and_fly
-    from dronemon.runner.summary import facts
+    from dronemon.runner.summary import facts, figures
 
     request = Request(follow=follow, settings=confirmed, out=out, resume=resume)
     result, summary = asyncio.run(assemble_and_fly(checked, request))
     console.print(facts_table(checked.mission.name, facts(summary)))
+    if told := figures(summary):
+        console.print(facts_table("for researchers", told))
     (console.print if result.is_landed else print_error)(result.last_word)
     if result.error is not None:  # told when it happened
         raise typer.Exit(result.error.exit_code)

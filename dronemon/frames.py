@@ -29,6 +29,9 @@ class GeoPoint:
     longitude_deg: float
     altitude_m: float = 0.0
 
+    def __str__(self) -> str:
+        return f"{self.latitude_deg:.6f}, {self.longitude_deg:.6f}"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AreaFrame:

@@ -312,6 +312,11 @@ class Mission(Section):
         return self.flight.horizon_au if self.flight.horizon_au is not None else 30.0
 
     @property
+    def seconds_per_au(self) -> float:
+        """Time in which one side is flown."""
+        return self.area.side_m / self.flight.cruise_speed_m_s
+
+    @property
     def num_pictures(self) -> int:
         """Pictures of a whole patrol."""
         return math.floor(self.horizon_au / MEASUREMENT_INTERVAL_AU + 1e-6)
@@ -319,7 +324,7 @@ class Mission(Section):
     @property
     def patrol_duration_s(self) -> float:
         """Duration of the patrol at cruise speed."""
-        return self.horizon_au * self.area.side_m / self.flight.cruise_speed_m_s
+        return self.horizon_au * self.seconds_per_au
 
     @property
     def sensor_radius_m(self) -> float:

@@ -39,7 +39,7 @@ from dronemon.clock import machine_time
 from dronemon.durable import LineWriter, replace_text, write_new
 from dronemon.errors import RecordError
 from dronemon.events import AreaLaid, Decided, Event, Measured, Moved, Noted
-from dronemon.frames import ned_to_geo
+from dronemon.frames import GeoPoint, ned_to_geo
 from dronemon.json_values import json_line, json_text
 from dronemon.mission import Mission
 from dronemon.mission.scalars import Dumper
@@ -205,25 +205,29 @@ class RunRecorder:
         where = self._place(self._pose.position_ned_m) if self._pose else {}
         return said | where | dict(event.fields)
 
-    def _ground(self, position_au: FloatArray) -> dict[str, object]:
-        """A place of the area on the globe; nothing before the area is laid."""
+    def ground_place(self, position_au: FloatArray) -> GeoPoint | None:
+        """A place of the area on the globe; None before the area is laid."""
         if self._laid is None:
-            return {}
+            return None
         area = self._laid.area
-        return self._place((*area.au_to_ned(position_au), area.ground_down_m))
+        return self._geo_point((*area.au_to_ned(position_au), area.ground_down_m))
+
+    def _geo_point(self, position_ned_m: Sequence[float]) -> GeoPoint | None:
+        """A place on the globe, to the centimetre; None before the area is laid."""
+        if self._laid is None:
+            return None
+        point = ned_to_geo(np.array(position_ned_m), self._laid.origin)
+        return GeoPoint(
+            latitude_deg=round(point.latitude_deg, 7),
+            longitude_deg=round(point.longitude_deg, 7),
+            altitude_m=round(point.altitude_m, 2),
+        )
+
+    def _ground(self, position_au: FloatArray) -> dict[str, object]:
+        return _told(self.ground_place(position_au))
 
     def _place(self, position_ned_m: Sequence[float]) -> dict[str, object]:
-        """A place on the globe, to the centimetre; nothing before the area is laid."""
-        if self._laid is None:
-            return {}
-        point = ned_to_geo(np.array(position_ned_m), self._laid.origin)
-        return {
-            "place": {
-                "latitude_deg": round(point.latitude_deg, 7),
-                "longitude_deg": round(point.longitude_deg, 7),
-                "altitude_m": round(point.altitude_m, 2),
-            }
-        }
+        return _told(self._geo_point(position_ned_m))
 
     def _wall(self, time_s: float) -> str:
         """Wall time of a vehicle time that has just passed."""
@@ -311,6 +315,10 @@ def _as_flown(mission: Mission) -> str:
     data = mission.model_dump(mode="json", exclude_none=True)
     text: str = yaml.dump(data, Dumper=Dumper, sort_keys=False, allow_unicode=True)
     return text
+
+
+def _told(place: GeoPoint | None) -> dict[str, object]:
+    return {} if place is None else {"place": asdict(place)}
 
 
 def _now() -> datetime:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -12,10 +12,14 @@ import torch
 from dronemon.belief import Belief, Matern32
 from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
 from dronemon.events import TruthTold
+from dronemon.frames import GeoPoint
+from dronemon.mission import Mission
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.runner.flight import FlightResult
 from dronemon.runner.last_seen import LastSeen
+from dronemon.runner.preparation import mission_kernel
 from dronemon.runner.tally import Tally
+from dronemon.runner.watch import Watched, in_words, watch
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray
 
@@ -25,7 +29,7 @@ class Flown:
     """How the patrol was flown; None where there is nothing to measure.
 
     picture_spacing_error: median share by which two pictures are apart more or less than 0.1 au.
-    observations: how often each target was seen, by name.
+    watched: how, of each target by its name.
     """
 
     distance_m: float
@@ -42,7 +46,7 @@ class Flown:
     decisions: int
     decision_p50_ms: float | None
     decision_p99_ms: float | None
-    observations: Mapping[str, int]
+    watched: Mapping[str, Watched]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,13 +86,13 @@ def summarise(
     result: FlightResult,
     *,
     truth: Sequence[TruthTold],
-    side_m: float,
-    target_names: tuple[str, ...],
-    kernel: Matern32,
+    mission: Mission,
+    place_of: Callable[[FloatArray], GeoPoint | None],
 ) -> Summary:
     """Sum a flight up.
 
-    truth: where the targets were at each picture, in order; empty where there is no simulator
+    truth:    where the targets were at each picture, in order; empty where there is no simulator
+    place_of: a position in au on the globe, None where that is not known
     """
     tally = result.tally
     return Summary(
@@ -98,12 +102,15 @@ def summarise(
         landing_error_m=result.landing_error_m,
         landing_battery=result.landing_battery,
         error=str(result.error) if result.error else None,
-        flown=_flown(tally, side_m, target_names) if tally else None,
-        score=_score(tally, truth, kernel) if tally else None,
+        flown=_flown(tally, mission, place_of) if tally else None,
+        score=_score(tally, truth, mission_kernel(mission)) if tally else None,
     )
 
 
-def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
+def _flown(
+    tally: Tally, mission: Mission, place_of: Callable[[FloatArray], GeoPoint | None]
+) -> Flown:
+    side_m = mission.area.side_m
     spacing_m = np.diff(tally.pictured_m, prepend=0.0)
     due_m = MEASUREMENT_INTERVAL_AU * side_m
     return Flown(
@@ -121,7 +128,10 @@ def _flown(tally: Tally, side_m: float, target_names: tuple[str, ...]) -> Flown:
         decisions=len(tally.decision_ms),
         decision_p50_ms=_percentile(tally.decision_ms, 50),
         decision_p99_ms=_percentile(tally.decision_ms, 99),
-        observations=dict(zip(target_names, tally.sightings.num_seen, strict=True)),
+        watched={
+            target.name: watch(tally.sightings, number, mission.seconds_per_au, place_of)
+            for number, target in enumerate(mission.targets)
+        },
     )
 
 
@@ -159,7 +169,7 @@ def _percentile(values: FloatArray | array[float], percent: float) -> float | No
 
 
 def facts(summary: Summary) -> dict[str, str]:
-    """The summary in words, for a table; an error was told when it happened."""
+    """How the flight went, in words, for a table; an error was told when it happened."""
     values = summary.as_json()
 
     def show(name: str, form: str, *keys: str) -> None:
@@ -168,6 +178,8 @@ def facts(summary: Summary) -> dict[str, str]:
             table[name] = form.format(*shown)
 
     table = {"outcome": summary.outcome}
+    if summary.flown is not None:
+        table |= {name: in_words(how) for name, how in summary.flown.watched.items()}
     show("landing", "{:.1f} m from home", "landing_error_m")
     show("battery after it", "{:.0%}", "landing_battery")
     show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
@@ -175,10 +187,17 @@ def facts(summary: Summary) -> dict[str, str]:
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")
     show("pictures", "{} of {}, {:.2f} m apart", "pictures", "pictures_due", "picture_spacing_m")
     show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")
-    show("Unc (spread)", "{:.3f} ({:.3f})", "unc", "unc_std")
-    show("JSD", "{:.3f}", "jsd")
-    show("MinOb", "{}", "min_ob")
-    if summary.flown is not None:
-        counts = summary.flown.observations.items()
-        table["observations"] = ", ".join(f"{name} {count}" for name, count in counts)
     return table
+
+
+def figures(summary: Summary) -> dict[str, str]:
+    """The researcher's figures, each with what it is; none where the truth is not known."""
+    score = summary.score
+    if score is None or score.unc is None:
+        return {}
+    return {
+        "Unc": f"{score.unc:.3f}: how unsure the beliefs were where the targets truly were, 0 to 1",
+        "spread of Unc": f"{score.unc_std:.3f}: its standard deviation between targets",
+        "JSD": f"{score.jsd:.3f}: how far the beliefs were from the truth, 0 to 0.693 (ln 2)",
+        "MinOb": f"{score.min_ob}: pictures of the target that was seen least",
+    }

@@ -466,17 +466,16 @@ def test_statistics_count_both_parts(story):
     result = story.fly(_aloft(last_s + 9.0))
     summary = summarise(
         result,
-        truth={},
-        side_m=100.0,
-        target_names=("Bella",),
-        kernel=make_belief(story.file.mission, Sightings(PRIORS_AU)).kernel,
+        truth=(),
+        mission=story.file.mission,
+        place_of=lambda position_au: None,
     )
     flown = summary.flown
     assert flown is not None
     assert flown.distance_m == pytest.approx(300.0, abs=3.0)
     assert flown.pictures == flown.pictures_due == 30
     assert flown.decisions > 12
-    assert flown.observations == {"Bella": 6 + 9}
+    assert flown.watched["Bella"].num_seen == 6 + 9
     assert len(result.tally.speeds_m_s) > sum(len(part["speeds_m_s"]) for part in before)
 
 
