@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import signal
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from dronemon.camera import CropKeeper, FrameSource, SimulatedCamera, VideoCamera
+from dronemon.card import find_checkpoint
 from dronemon.errors import DronemonError, LinkTimeout, VehicleError
 from dronemon.events import Subscriber, TruthTold
 from dronemon.feasibility import make_planner
@@ -86,11 +88,20 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
         sum_up = partial(summarise, mission=mission, place_of=recorder.ground_place)
         try:
             summary = sum_up(result, truth=truth)
-            recorder.finish(result.outcome, summary.as_json())
+            recorder.finish(result.outcome, {**summary.as_json(), **_weights(mission)})
         except Exception as exc:  # noqa: BLE001 - the last word on the drone comes first
             result = _failed_after(result, exc)
             summary = sum_up(replace(result, tally=None), truth=())
     return result, summary
+
+
+def _weights(mission: Mission) -> dict[str, object]:
+    """Which checkpoint flew, if one did."""
+    if mission.planner.kind != "stamp":
+        return {}
+    path = find_checkpoint(mission.planner.checkpoint)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return {"checkpoint": {"name": path.name, "sha256": digest}}
 
 
 def _failed_after(result: FlightResult, exc: Exception) -> FlightResult:

@@ -126,7 +126,7 @@ def fly_command(
     request = Request(follow=follow, settings=confirmed, out=out, resume=resume)
     result, summary = asyncio.run(assemble_and_fly(checked, request))
     console.print(facts_table(checked.mission.name, facts(summary)))
-    if told := figures(summary):
+    if told := figures(summary.as_json()):
         console.print(facts_table("for researchers", told))
     (console.print if result.is_landed else print_error)(result.last_word)
     if result.error is not None:  # told when it happened
@@ -349,6 +349,14 @@ def export(context: typer.Context) -> None:
     from dronemon.export.command import export_command
 
     _hand_on(context, export_command)
+
+
+@app.command("report", add_help_option=False, context_settings=_REST)
+def report(context: typer.Context) -> None:
+    """Make a page of a flight for people: one HTML file without a network, and a map."""
+    from dronemon.report.command import report_command
+
+    _hand_on(context, report_command)
 
 
 @app.command("evaluate", add_help_option=False, context_settings=_REST)

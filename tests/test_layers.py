@@ -49,6 +49,7 @@ LAYERS = {
     "flight_options": 1,
     "explain": 5,
     "export": 5,
+    "report": 5,
     "feasibility": 5,
     "simulator": 5,
 }
@@ -78,7 +79,7 @@ PLACES = {
     "rerun": {"viz"},
     "cv2": {"vision", "camera"},
     "pymavlink": {"vehicle"},
-    "matplotlib": {"evaluation", "explain"},
+    "matplotlib": {"evaluation", "explain", "report"},
     "shapely": {"export"},
 }
 

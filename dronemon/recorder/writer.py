@@ -59,6 +59,7 @@ from dronemon.recorder.folder import (
     fingerprint,
 )
 from dronemon.types import FloatArray, Pose
+from dronemon.version import code_version
 
 POSE_INTERVAL_S = 1.0
 """Vehicle time between two lines that say where it was."""
@@ -86,7 +87,11 @@ class RunRecorder:
         self._pose: Pose | None = None
         self._posed_s = -math.inf
         self._names = tuple(names)
-        self._head: dict[str, object] = {"started": _stamp("seconds"), "targets": self._names}
+        self._head: dict[str, object] = {
+            "started": _stamp("seconds"),
+            "code": code_version(),
+            "targets": self._names,
+        }
         if before is not None:
             resumed = [*before.get("resumed", ()), _stamp("seconds")]
             self._head |= {

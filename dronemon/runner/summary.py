@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -169,17 +170,21 @@ def _percentile(values: FloatArray | array[float], percent: float) -> float | No
 
 
 def facts(summary: Summary) -> dict[str, str]:
-    """How the flight went, in words, for a table; an error was told when it happened."""
-    values = summary.as_json()
+    """What came of the flight, in words, for a table; an error was told when it happened."""
+    watched = summary.flown.watched if summary.flown else {}
+    told = {name: in_words(how) for name, how in watched.items()}
+    return {"outcome": summary.outcome, **told, **how_flown(summary.as_json())}
+
+
+def how_flown(values: Mapping[str, Any]) -> dict[str, str]:
+    """How the flight went, in words. values: of summary.json"""
 
     def show(name: str, form: str, *keys: str) -> None:
         shown = [values.get(key) for key in keys]
         if all(value is not None for value in shown):
             table[name] = form.format(*shown)
 
-    table = {"outcome": summary.outcome}
-    if summary.flown is not None:
-        table |= {name: in_words(how) for name, how in summary.flown.watched.items()}
+    table: dict[str, str] = {}
     show("landing", "{:.1f} m from home", "landing_error_m")
     show("battery after it", "{:.0%}", "landing_battery")
     show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
@@ -190,14 +195,18 @@ def facts(summary: Summary) -> dict[str, str]:
     return table
 
 
-def figures(summary: Summary) -> dict[str, str]:
-    """The researcher's figures, each with what it is; none where the truth is not known."""
-    score = summary.score
-    if score is None or score.unc is None:
-        return {}
-    return {
-        "Unc": f"{score.unc:.3f}: how unsure the beliefs were where the targets truly were, 0 to 1",
-        "spread of Unc": f"{score.unc_std:.3f}: its standard deviation between targets",
-        "JSD": f"{score.jsd:.3f}: how far the beliefs were from the truth, 0 to 0.693 (ln 2)",
-        "MinOb": f"{score.min_ob}: pictures of the target that was seen least",
-    }
+_FIGURES = {
+    "unc": ("Unc", "{:.3f}: how unsure the beliefs were where the targets truly were, 0 to 1"),
+    "unc_std": ("spread of Unc", "{:.3f}: its standard deviation between targets"),
+    "jsd": ("JSD", "{:.3f}: how far the beliefs were from the truth, 0 to 0.693 (ln 2)"),
+    "min_ob": ("MinOb", "{}: pictures of the target that was seen least"),
+}
+
+
+def figures(values: Mapping[str, Any]) -> dict[str, str]:
+    """The researcher's figures, each with what it is; none where the truth is not known.
+
+    values: of summary.json
+    """
+    known = {key: told for key, told in _FIGURES.items() if values.get(key) is not None}
+    return {name: form.format(values[key]) for key, (name, form) in known.items()}

@@ -19,31 +19,17 @@ import gpxpy
 import numpy as np
 import pymap3d
 import pytest
-import virtual_time
-from fake_link import ORIGIN, FakeCamera, FakeLink
+from fake_link import ORIGIN
 from fastkml.validator import validate
 from geojson_pydantic import FeatureCollection
 
 from dronemon import cli
-from dronemon.camera import CropKeeper
 from dronemon.errors import DronemonError, OptionError, RecordError
 from dronemon.export.formats import FORMATS, geojson, gpx, kml, write_all
 from dronemon.export.story import Fix, Sighting, Story, read_story, redacted
 from dronemon.frames import GeoPoint
-from dronemon.mission import load_mission
-from dronemon.planner.lawnmower import Lawnmower
-from dronemon.recorder import RunFolder, RunRecorder
-from dronemon.runner import FlightSetup, Interrupts, fly_mission
-from dronemon.types import Detection
+from dronemon.recorder import RunFolder
 
-MISSION = """
-name: Reserve & <north>
-area: {side_m: 100, heading_deg: 30}
-flight: {altitude_m: 22, cruise_speed_m_s: 5, horizon_au: 1, start_au: [0.5, 0.4]}
-targets:
-  - {name: "Bella <1>", appearance: cow, prior_au: [0.4, 0.6]}
-  - {name: Zürä, appearance: zebra}
-"""
 PLACES = {
     "north-east": (47.4, 8.5),
     "south-west": (-33.9, -70.6),
@@ -51,43 +37,6 @@ PLACES = {
     "at zero": (0.0, 0.0),
 }
 WHEN = datetime(2026, 11, 27, 12, 0, 0, 250_000, tzinfo=UTC)
-
-
-class Below:
-    """Sees the cow below itself in every picture."""
-
-    def detect(self, *_: object) -> tuple[Detection, ...]:
-        return (Detection(appearance="cow", pixel_px=(320.0, 240.0), score=0.9),)
-
-
-async def fly(folder: Path) -> None:
-    (folder / "m.yaml").write_text(MISSION)
-    file = load_mission(folder / "m.yaml")
-    with RunRecorder.create(file.mission, out=folder / "run") as recorder:
-        async with FakeLink() as link:
-            with CropKeeper(recorder.folder.path, file.mission) as crops:
-                result = await fly_mission(
-                    FlightSetup(
-                        file=file,
-                        link=link,
-                        camera=FakeCamera(link, 640, 480),
-                        detector=Below(),
-                        planner=Lawnmower(),
-                        priors_au=np.array([[0.4, 0.6], [np.nan, np.nan]]),
-                        record=recorder,
-                        watchers=(crops,),
-                        interrupts=Interrupts(),
-                    )
-                )
-        recorder.finish(result.outcome, {})
-    assert crops.dropped == 0
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("flown")
-    virtual_time.run(fly(folder))
-    return folder / "run"
 
 
 def export(*options: object) -> None:

@@ -1,0 +1,37 @@
+"""`dronemon report`: its options and their help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dronemon.durable import replace_text
+from dronemon.errors import OptionError
+from dronemon.recorder import RunFolder
+from dronemon.report.figures import draw_map, save_png
+from dronemon.report.flight import read_flight
+from dronemon.report.page import page
+from dronemon.terminal import console
+
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
+OutOption = Annotated[
+    Path | None,
+    typer.Option(help="The HTML file; the map goes beside it as PNG.", show_default="in RUN"),
+]
+
+
+def report_command(run: RunArgument, out: OutOption = None) -> None:
+    """Make a page of a flight for people: one HTML file without a network, and a map."""
+    flight = read_flight(RunFolder.open(run))
+    path = run / "report.html" if out is None else out
+    picture = path.with_suffix(".png")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_text(path, page(flight, run))
+        save_png(draw_map(flight), picture)
+    except OSError as exc:
+        raise OptionError(f"--out {path}: cannot be written: {exc.strerror}") from exc
+    for written in (path, picture):
+        console.print(written, soft_wrap=True, markup=False, highlight=False)

@@ -1,0 +1,149 @@
+"""What a report tells of a run, read from its folder and reckoned once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dronemon.arena import ARENA
+from dronemon.belief import Belief
+from dronemon.errors import RecordError
+from dronemon.export.story import Story, read_story
+from dronemon.frames import AreaFrame, GeoPoint, ned_to_geo
+from dronemon.mission import Mission, load_mission
+from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.runner.history import Laid, measurement_of, understanding
+from dronemon.runner.preparation import make_belief
+from dronemon.runner.watch import Watched, watch
+from dronemon.sightings import Sightings
+from dronemon.types import FloatArray
+
+GRID_SIZE = 60
+"""Points of the maps along each axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flight:
+    """A run as its report tells it. Times are seconds of the patrol, also over fresh batteries.
+
+    times_s:        (T,)   of the measurements
+    agent_au:       (T, 2) where they were taken
+    seen:           (T, N) whether each target was
+    seen_au:        (T, N, 2) where, NaN where it was not
+    std:            (T, N) of the belief at the place where the target was seen last, NaN before
+    battery:        (T,)   share left, NaN where it is not known; battery_needed: to come home
+    decisions:      (D, 2) time and milliseconds of each
+    mean:           (N, G, G) the last belief on the grid
+    unseen_for_s:   (G, G) since each place was looked at last, at the end; inf if it never was
+    watched:        how each target was
+    events:         the lines of events.jsonl
+    """
+
+    story: Story
+    mission: Mission
+    frame: AreaFrame
+    summary: Mapping[str, Any]
+    times_s: FloatArray
+    agent_au: FloatArray
+    seen: FloatArray
+    seen_au: FloatArray
+    std: FloatArray
+    battery: FloatArray
+    battery_needed: FloatArray
+    decisions: FloatArray
+    mean: FloatArray
+    unseen_for_s: FloatArray
+    watched: Sequence[Watched]
+    events: Sequence[Mapping[str, Any]]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the targets."""
+        return [target.name for target in self.mission.targets]
+
+    def share_looked_at(self, within_s: float = np.inf) -> float:
+        """Share of the area that was looked at, ever or within a time before the end."""
+        return float(np.mean(self.unseen_for_s < within_s))
+
+
+def read_flight(folder: RunFolder) -> Flight:
+    """Read a run, finished or not. Raises RecordError for one that never patrolled."""
+    story = read_story(folder)
+    mission = load_mission(folder.path / MISSION_FILE).mission
+    with understanding(folder):
+        events, lines = list(folder.events()), list(folder.observations())
+        if not lines:
+            raise RecordError(f"{folder.path}: no picture was looked at: nothing is there to tell")
+        laid = Laid.told_by([event for event in events if event["kind"] == "ready"][-1])
+        names = [target.name for target in mission.targets]
+        measurements = [measurement_of(line, names) for line in lines]
+        began = next(event for event in events if "priors_au" in event)
+        sightings = Sightings(np.array(began["priors_au"], dtype=np.float64))
+        belief = make_belief(mission, sightings)
+        std = []
+        for measurement in measurements:
+            sightings.add(measurement)
+            std.append(_std_where_seen(belief))
+        seconds = mission.seconds_per_au
+        agent_au = np.array([m.agent_au for m in measurements])
+        times_au = np.array([m.time_au for m in measurements])
+
+        def place_of(position_au: FloatArray) -> GeoPoint:
+            ground_ned_m = [*laid.frame.au_to_ned(position_au), laid.frame.ground_down_m]
+            return ned_to_geo(np.array(ground_ned_m), laid.origin)
+
+        return Flight(
+            story=story,
+            mission=mission,
+            frame=laid.frame,
+            summary=folder.summary(),
+            times_s=times_au * seconds,
+            agent_au=agent_au,
+            seen=np.array([m.seen for m in measurements], dtype=np.float64),
+            seen_au=np.array([m.target_au for m in measurements]),
+            std=np.array(std),
+            battery=_numbers(lines, "battery"),
+            battery_needed=_numbers(lines, "battery_needed"),
+            decisions=np.array(
+                [(d["time_au"] * seconds, d["decision_ms"]) for d in folder.decisions()]
+            ).reshape(-1, 2),
+            mean=_mean_on_grid(belief),
+            unseen_for_s=_unseen_for_au(agent_au, times_au) * seconds,
+            watched=[watch(sightings, number, seconds, place_of) for number in range(len(names))],
+            events=events,
+        )
+
+
+def _numbers(lines: Sequence[Mapping[str, Any]], key: str) -> FloatArray:
+    return np.array([line[key] for line in lines], dtype=np.float64)  # None becomes NaN
+
+
+def _std_where_seen(belief: Belief) -> FloatArray:
+    """(N,) how unsure the belief is where each target was seen last; NaN if it never was."""
+    places_au, time_au = belief.sightings.last_places_au, belief.sightings.time_au
+    query = np.concatenate([places_au, np.full((len(places_au), 1), time_au)], axis=-1)
+    _, std = belief.posterior(np.nan_to_num(query))
+    at_last: FloatArray = np.where(np.isnan(places_au[:, 0]), np.nan, np.diagonal(std))
+    return at_last
+
+
+def _mean_on_grid(belief: Belief) -> FloatArray:
+    """(N, G, G) expected presence now; rows are y."""
+    grid_au = ARENA.grid(GRID_SIZE)
+    time_au = np.full((len(grid_au), 1), belief.sightings.time_au)
+    mean, _ = belief.posterior(np.concatenate([grid_au, time_au], axis=-1))
+    return mean.reshape(-1, GRID_SIZE, GRID_SIZE).swapaxes(1, 2)
+
+
+def _unseen_for_au(agent_au: FloatArray, times_au: FloatArray) -> FloatArray:
+    """(G, G) time at the end since the footprint lay over each place; rows are y."""
+    grid_au = ARENA.grid(GRID_SIZE)
+    looked_at_au = np.full(len(grid_au), -np.inf)
+    for place_au, time_au in zip(agent_au, times_au, strict=True):
+        looked_at_au[np.hypot(*(grid_au - place_au).T) < SENSOR_RADIUS_AU] = time_au
+    unseen_for_au: FloatArray = (times_au[-1] - looked_at_au).reshape(GRID_SIZE, GRID_SIZE).T
+    return unseen_for_au

@@ -1,0 +1,108 @@
+"""The report as one HTML file: everything is in it, and nothing is asked of a network."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from matplotlib.colors import to_hex
+
+from dronemon.recorder import MISSION_FILE
+from dronemon.report.figures import FIGURES, color, svg
+from dronemon.report.flight import Flight
+from dronemon.runner.summary import figures, how_flown
+from dronemon.runner.watch import Watched, span
+
+_MAX_EVENTS = 150
+_RECENTLY_S = 600.0
+
+
+def page(flight: Flight, run: Path) -> str:
+    """The whole page. run: the folder as it was named"""
+    summary, story = flight.summary, flight.story
+    template = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+    ).from_string((files("dronemon.report") / "page.html.j2").read_text(encoding="utf-8"))
+    drawn = {name: svg(draw(flight)) for name, draw in FIGURES.items()}
+    last = story.track[-1].time if story.track else story.started
+    return template.render(
+        name=story.name,
+        day=f"{story.started:%Y-%m-%d}",
+        began=f"{story.started:%Y-%m-%d %H:%M:%S}",
+        ended=f"{last:%H:%M:%S}",
+        outcome=_outcome(summary),
+        is_bad=not summary.get("is_landed", False) or bool(summary.get("error")),
+        targets=[_target(flight, number) for number in range(len(flight.names))],
+        coverage=_coverage(flight),
+        map=drawn["map"],
+        targets_figure=drawn["targets"],
+        vehicle=drawn["vehicle"],
+        flight=list(how_flown(summary).items()),
+        figures=list(figures(summary).items()),
+        events=[_event(event) for event in flight.events[:_MAX_EVENTS]],
+        num_left_out=max(0, len(flight.events) - _MAX_EVENTS),
+        made=list(_made(flight, run).items()),
+    )
+
+
+def _outcome(summary: Mapping[str, Any]) -> str:
+    """How it ended, in a sentence."""
+    landed = "The drone is down." if summary.get("is_landed") else "Nobody saw the drone land."
+    error = f" {summary['error']}" if summary.get("error") else ""
+    return f"Outcome: {summary['outcome']}. {landed}{error}"
+
+
+def _target(flight: Flight, number: int) -> dict[str, str]:
+    target, watched = flight.mission.targets[number], flight.watched[number]
+    return {
+        "name": target.name,
+        "appearance": target.appearance,
+        "color": to_hex(color(number)),
+        "seen": "never" if not watched.num_seen else f"{watched.num_seen} times",
+        "longest": span(watched.longest_unseen_s),
+        "last": _last(watched),
+        "where": "-" if watched.place is None else str(watched.place) + _error(flight, number),
+    }
+
+
+def _last(watched: Watched) -> str:
+    if watched.unseen_since_s is None:
+        return "-"
+    return (
+        f"{span(watched.unseen_since_s)} before the end" if watched.unseen_since_s else "at the end"
+    )
+
+
+def _error(flight: Flight, number: int) -> str:
+    errors_m = [s.error_m for s in flight.story.sightings if s.number == number]
+    return f" ± {errors_m[-1]:.1f} m" if errors_m else ""
+
+
+def _coverage(flight: Flight) -> str:
+    ever, lately = flight.share_looked_at(), flight.share_looked_at(_RECENTLY_S)
+    return (
+        f"Of the area {ever:.0%} was looked at at least once, {lately:.0%} in the last ten minutes."
+        " A target that stood still there would have been seen, if the detector misses none."
+    )
+
+
+def _event(event: Mapping[str, Any]) -> dict[str, str]:
+    time_s = event["time_s"]
+    shown = "" if time_s is None else f"{int(time_s // 60)}:{time_s % 60:04.1f}"
+    return {"time": shown, "kind": event["kind"], "text": event["text"]}
+
+
+def _made(flight: Flight, run: Path) -> dict[str, str]:
+    summary = flight.summary
+    made = {
+        "flown by": f"dronemon {summary['code']}, planner {flight.mission.planner.kind}",
+        "fly it again": f"dronemon fly {shlex.quote(str(run / MISSION_FILE))}",
+        "this page": f"dronemon report {shlex.quote(str(run))}",
+    }
+    if "checkpoint" in summary:
+        made["weights"] = "{name}, SHA-256 {sha256}".format(**summary["checkpoint"])
+    return made

@@ -1,0 +1,103 @@
+"""The report of a flight: everything in one file, true to the record, whatever the names are."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from dronemon import cli
+from dronemon.errors import OptionError, RecordError
+from dronemon.recorder import RunFolder
+from dronemon.report.flight import GRID_SIZE, read_flight
+
+
+class Page(HTMLParser):
+    """What a page refers to, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.references: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.references += [value or "" for name, value in attrs if name in {"src", "href"}]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def report(*options: object) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.app(["report", *map(str, options)], standalone_mode=False)
+    assert ended.value.code == 0
+
+
+def test_a_page_needs_nothing_else_and_says_what_was_seen(flown: Path, tmp_path: Path) -> None:
+    report(flown, "--out", tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = Page(text)
+    words = " ".join(" ".join(page.words).split())
+    assert all(reference.startswith("#") for reference in page.references), page.references
+    assert "script" not in page.tags
+    assert "url(http" not in text
+    assert page.tags.count("svg") == 3
+    assert len(text) < 3e6
+    assert "Reserve & <north>" in words
+    num_seen = len(read_flight(RunFolder.open(flown)).story.sightings)
+    assert f"Bella <1> (cow) {num_seen} times" in words
+    assert "Zürä (zebra) never" in words
+    assert "Outcome: completed. The drone is down." in words
+    for svg in text.split("<svg")[1:]:  # whole, whatever the names are
+        ElementTree.fromstring("<svg" + svg[: svg.index("</svg>")] + "</svg>")
+    assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_the_report_reckons(flown: Path) -> None:
+    flight = read_flight(RunFolder.open(flown))
+    seen_once, never = flight.watched
+    assert seen_once.num_seen == flight.seen[:, 0].sum() == len(flight.times_s)
+    assert never.num_seen == 0
+    assert (flight.std[:, 0] < 0.5).all()  # seen in every picture
+    assert np.isnan(flight.std[:, 1]).all()
+    # A disc of 0.1 au, and what it sweeps in 1 au of straight lines at most.
+    assert 0.1 < flight.share_looked_at() < 0.035 + 0.2
+    assert flight.share_looked_at(1.0) < flight.share_looked_at()
+    last = round_to_grid(flight.seen_au[-1, 0])
+    assert flight.mean[0][last] > 0.9
+    assert flight.mean[0][last[::-1]] < 0.3  # rows are y
+    assert flight.unseen_for_s[last] == 0.0
+
+
+def round_to_grid(place_au: np.ndarray) -> tuple[int, ...]:
+    column, row = np.rint(place_au * (GRID_SIZE - 1)).astype(int)
+    return int(row), int(column)
+
+
+def test_a_run_that_ended_badly_is_told(flown: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(flown, run)
+    summary = json.loads((run / "summary.json").read_text())
+    kept = {key: summary[key] for key in ("started", "code", "targets")}
+    (run / "summary.json").write_text(json.dumps(kept | {"outcome": "in flight"}))
+    report(run)
+    words = " ".join(Page((run / "report.html").read_text(encoding="utf-8")).words)
+    assert "Outcome: in flight. Nobody saw the drone land." in words
+
+
+def test_what_cannot_be_told_says_so(flown: Path, tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="cannot be written"):
+        report(flown, "--out", "/proc/none/page.html")
+    run = tmp_path / "run"
+    shutil.copytree(flown, run)
+    (run / "observations.jsonl").write_text("")
+    with pytest.raises(RecordError, match="nothing is there to tell"):
+        report(run)
