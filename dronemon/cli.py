@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import re
@@ -20,6 +21,7 @@ import dronemon
 from dronemon.errors import DronemonError, OptionError, VehicleError
 from dronemon.flight_options import (
     DEFAULT_MISSION,
+    AsJson,
     FollowUrl,
     HistoryLength,
     HorizonAu,
@@ -198,19 +200,20 @@ def check(
     speed_up: SpeedUp = None,
     seed: Seed = None,
     view: LiveView = None,
+    as_json: AsJson = False,
 ) -> None:
     """Validate a mission and print what would be flown, without flying."""
     from dronemon.feasibility import flight_facts
 
     checked = _checked(context)
-    console.print(facts_table(f"{checked.path}: can be flown", flight_facts(checked.mission)))
+    _show(f"{checked.path}: can be flown", flight_facts(checked.mission), as_json)
 
 
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 
 
 @app.command("status")
-def status_command(run: RunArgument) -> None:
+def status_command(run: RunArgument, as_json: AsJson = False) -> None:
     """Tell how far a flight is, from any terminal."""
     from dronemon.mission import load_mission
     from dronemon.recorder import MISSION_FILE, RunFolder
@@ -218,7 +221,7 @@ def status_command(run: RunArgument) -> None:
 
     folder = RunFolder.open(run)
     mission = load_mission(run / MISSION_FILE).mission
-    console.print(facts_table(f"{run}: {mission.name}", status(folder, mission)))
+    _show(f"{run}: {mission.name}", status(folder, mission), as_json)
 
 
 @app.command("resume")
@@ -229,6 +232,13 @@ def resume_command(run: RunArgument) -> None:
 
     ask_to_go_on(RunFolder.open(run))
     console.print("it goes on")
+
+
+def _show(title: str, facts: dict[str, str], as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
+    else:
+        console.print(facts_table(title, facts))
 
 
 def _resumed(context: typer.Context) -> MissionFile:
@@ -335,44 +345,36 @@ def schema() -> None:
     sys.stdout.write(json.dumps(document, indent=2) + "\n")
 
 
-@app.command("explain", add_help_option=False, context_settings=_REST)
-def explain(context: typer.Context) -> None:
-    """Show why a decision of a flight was made: whom, when and where the network looked at."""
-    from dronemon.explain.command import explain_command
-
-    _hand_on(context, explain_command)
-
-
-@app.command("export", add_help_option=False, context_settings=_REST)
-def export(context: typer.Context) -> None:
-    """Write a flight's sightings and track for maps: GeoJSON, CSV, KMZ, GPX, Cursor-on-Target."""
-    from dronemon.export.command import export_command
-
-    _hand_on(context, export_command)
-
-
-@app.command("report", add_help_option=False, context_settings=_REST)
-def report(context: typer.Context) -> None:
-    """Make a page of a flight for people: one HTML file without a network, and a map."""
-    from dronemon.report.command import report_command
-
-    _hand_on(context, report_command)
-
-
-@app.command("evaluate", add_help_option=False, context_settings=_REST)
-def evaluate(context: typer.Context) -> None:
-    """Measure planners on simulated instances, and compare them with the paper's figures."""
-    from dronemon.evaluation.command import evaluate_command
-
-    _hand_on(context, evaluate_command)
+_ELSEWHERE = {
+    "export": (
+        "dronemon.export.command",
+        "Write a flight's sightings and track for maps: GeoJSON, CSV, KMZ, GPX, Cursor-on-Target.",
+    ),
+    "report": (
+        "dronemon.report.command",
+        "Make a page of a flight for people: one HTML file without a network, and a map.",
+    ),
+    "compare": ("dronemon.report.compare", "Show several flights side by side."),
+    "explain": (
+        "dronemon.explain.command",
+        "Show why a decision of a flight was made: whom, when and where the network looked at.",
+    ),
+    "evaluate": (
+        "dronemon.evaluation.command",
+        "Measure planners on simulated instances, and compare them with the paper's figures.",
+    ),
+    "train": (
+        "dronemon.training.command",
+        "Train a policy. Kill it whenever you like: the same command goes on where it was.",
+    ),
+}
+"""Commands that are defined elsewhere, as NAME_command of a module, and what they are for."""
 
 
-@app.command("train", add_help_option=False, context_settings=_REST)
-def train(context: typer.Context) -> None:
-    """Train a policy. Kill it whenever you like: the same command goes on where it was."""
-    from dronemon.training.command import train_command
-
-    _hand_on(context, train_command)
+def _add_command(name: str, module: str, about: str) -> None:
+    @app.command(name, help=about, add_help_option=False, context_settings=_REST)
+    def run(context: typer.Context) -> None:
+        _hand_on(context, getattr(importlib.import_module(module), f"{name}_command"))
 
 
 def _hand_on(context: typer.Context, command: Callable[..., None]) -> None:
@@ -385,6 +387,9 @@ def _hand_on(context: typer.Context, command: Callable[..., None]) -> None:
     rest.command()(command)
     rest(args=context.args, prog_name=context.command_path)
 
+
+for _name, (_module, _about) in _ELSEWHERE.items():
+    _add_command(_name, _module, _about)
 
 if __name__ == "__main__":
     main()

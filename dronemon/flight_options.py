@@ -60,3 +60,4 @@ Settings = Annotated[
     ),
 ]
 Unasked = Annotated[bool, typer.Option("--yes", help="Set parameters without asking.")]
+AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")]

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 from unicodedata import category
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.segment import Segment
 from rich.table import Table
@@ -134,33 +134,36 @@ class FlightDisplay:
         self._live.stop()
 
     def _show(self, status: Progressed) -> None:
+        rows = self._rows(status)
         if self._console.is_terminal:
-            self._live.update(self._line(status))
+            *first, seen = (Text(row) for row in rows)
+            for row in first:
+                row.no_wrap, row.overflow = True, "ellipsis"
+            self._live.update(Group(*first, seen))
             return
         share = status.flown_au / status.horizon_au if status.horizon_au else 0.0
         if status.phase != self._phase or share >= self._next_share:
             self._phase = status.phase
             self._next_share = (int(share / _PLAIN_STEP) + 1) * _PLAIN_STEP
-            self._console.print(self._line(status), soft_wrap=True)
+            self._console.print(Text("  ".join(rows)), soft_wrap=True)
 
-    def _line(self, status: Progressed) -> Text:
+    def _rows(self, status: Progressed) -> tuple[str, str, str]:
+        """How far it is, how the vehicle is, and who was seen when."""
         done, to_do = "━─" if self._console.encoding.lower().startswith("utf") else "=-"
         share = min(status.flown_au / status.horizon_au, 1.0) if status.horizon_au else 0.0
         filled = round(share * _BAR_WIDTH)
-        parts = [
-            f"{status.phase:<14}",
-            f"{done * filled}{to_do * (_BAR_WIDTH - filled)} {share:4.0%}",
-            f"{status.flown_au:.1f}/{status.horizon_au:g} au",
-            f"{_minutes(status.left_s)} left",
-            f"{status.speed_m_s:.1f} m/s",
-            f"battery {'?' if status.battery is None else f'{status.battery:.0%}'}"
-            f" ({status.battery_needed:.0%} home)",
-        ]
-        seen = [
+        level = "?" if status.battery is None else f"{status.battery:.0%}"
+        seen = ", ".join(
             f"{name} {'never' if ago_s is None else f'{ago_s:.0f} s ago'}"
             for name, ago_s in status.since_seen_s.items()
-        ]
-        return Text("  ".join(parts) + "  seen: " + ", ".join(seen))
+        )
+        return (
+            f"{status.phase:<14}  {done * filled}{to_do * (_BAR_WIDTH - filled)} {share:4.0%}"
+            f"  {_minutes(status.left_s)} left",
+            f"{status.flown_au:.1f}/{status.horizon_au:g} au  {status.speed_m_s:.1f} m/s"
+            f"  battery {level} ({status.battery_needed:.0%} home)",
+            f"seen: {seen}",
+        )
 
 
 def _minutes(seconds_s: float) -> str:

@@ -106,6 +106,12 @@ def test_help_has_a_short_form_everywhere(run, command):
     assert "--help" in out
 
 
+def test_facts_are_json_for_scripts(run):
+    code, out, _ = run("check", "animals", "--json")
+    assert code == 0
+    assert json.loads(out)["targets"] == "Bella (cow), Zuri (zebra), Rusty (fox)"
+
+
 def test_options_reach_the_commands_that_are_defined_elsewhere(run, tmp_path: Path):
     code, _, err = run("evaluate", "--out", str(tmp_path), "--planner", "tsp", "--prior", "some")
     assert code == 2

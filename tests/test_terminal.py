@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -42,6 +43,49 @@ def test_a_flight_is_shown_in_any_encoding():
     assert "============------------  50%" in lines[0]
     assert lines[0].endswith("seen: ???? never")
     assert lines[1:] == ["autopilot: höher ?"]
+
+
+@pytest.mark.parametrize("width", [80, 40])
+def test_a_flight_fits_the_terminal(width: int):
+    """Only the targets may take more than a row each."""
+    console = Console(file=io.StringIO(), force_terminal=True, color_system=None, width=width)
+    with FlightDisplay(console) as display:
+        display.take(
+            Progressed(
+                phase="coming home",
+                flown_au=123.4,
+                horizon_au=300.0,
+                left_s=7199.0,
+                speed_m_s=12.3,
+                battery=1.0,
+                battery_needed=0.35,
+                since_seen_s={f"animal {number}": 100.0 for number in range(8)},
+            )
+        )
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    rows = re.sub(r"\x1b\[[?\d]*[a-zA-Z]|\r", "", shown).splitlines()
+    bars = [row for row in rows if row.startswith("coming home")]
+    assert bars
+    assert max(map(len, rows)) <= width
+    follow = [rows[i + 1] for i, row in enumerate(rows) if row in bars]
+    assert all(row.startswith("123.4/300 au") for row in follow)
+    if width == 80:
+        assert all(row.endswith("41%  119:59 left") for row in bars)
+        assert all(row.endswith("battery 100% (35% home)") for row in follow)
+
+
+@pytest.mark.parametrize("environment", [{}, {"NO_COLOR": "1"}])
+def test_what_is_piped_has_no_colours_and_rings_no_bell(environment: dict[str, str]):
+    for options in (["missions"], ["check", "animals"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "dronemon.cli", *options],
+            capture_output=True,
+            env=os.environ | environment,
+            check=True,
+            timeout=60,
+        )
+        assert b"\x1b" not in done.stdout + done.stderr
+        assert b"\x07" not in done.stdout + done.stderr
 
 
 def test_a_full_disk_or_a_closed_pipe_ends_no_display():

@@ -101,3 +101,23 @@ def test_what_cannot_be_told_says_so(flown: Path, tmp_path: Path) -> None:
     (run / "observations.jsonl").write_text("")
     with pytest.raises(RecordError, match="nothing is there to tell"):
         report(run)
+
+
+def test_runs_are_compared(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(flown, other)
+    summary = json.loads((other / "summary.json").read_text())
+    (other / "summary.json").write_text(json.dumps(summary | {"unc": 0.25, "pictures": None}))
+    for options in ((), ("--json",)):
+        with pytest.raises(SystemExit):
+            cli.app(["compare", str(flown), str(other), *options], standalone_mode=False)
+    shown, _, told = capsys.readouterr().out.partition("[\n")
+    rows = json.loads("[" + told)
+    assert [row["run"] for row in rows] == ["run", "other"]
+    assert [row["unc"] for row in rows] == [None, 0.25]
+    assert rows[0]["longest_unseen_s"] == pytest.approx(20.0, abs=1.0)
+    cells = [line.split("│")[1:-1] for line in shown.splitlines() if line.startswith("│")]
+    table = {first.strip(): [cell.strip() for cell in rest] for first, *rest in cells}
+    assert table["Unc"] == ["-", "0.250"]
+    assert table["pictures"] == ["10", "-"]
+    assert table["longest out of sight"] == ["20 s", "20 s"]
