@@ -175,8 +175,8 @@ def _open_views(
     mission: Mission, folder: RunFolder, stack: contextlib.AsyncExitStack
 ) -> tuple[Subscriber, ...]:
     view = stack.enter_context(FlightView(folder.new_rrd_path(), mission))
-    if view.url:
-        console.print(f"live view: {view.url}", soft_wrap=True, markup=False)
+    if view.where:
+        console.print(f"live view: {view.where}", soft_wrap=True, markup=False)
     crops = stack.enter_context(CropKeeper(folder.path, mission))
     return view, crops, stack.enter_context(FlightDisplay(console))
 

@@ -346,6 +346,10 @@ def schema() -> None:
 
 
 _ELSEWHERE = {
+    "view": (
+        "dronemon.viewing",
+        "Look at a flight's recording: in a window, or without a display on a page here.",
+    ),
     "export": (
         "dronemon.export.command",
         "Write a flight's sightings and track for maps: GeoJSON, CSV, KMZ, GPX, Cursor-on-Target.",

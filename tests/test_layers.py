@@ -50,6 +50,7 @@ LAYERS = {
     "explain": 5,
     "export": 5,
     "report": 5,
+    "viewing": 5,
     "feasibility": 5,
     "simulator": 5,
 }

@@ -56,15 +56,16 @@ class RunFolder:
         """Where the Rerun recording is."""
         return self.path / RRD_FILE
 
-    def more_recordings(self) -> list[str]:
-        """Names of the recordings after each resume."""
-        return sorted(file.name for file in self.path.glob("flight-*.rrd"))
+    def recordings(self) -> list[str]:
+        """Names of the recordings, one of each flight of the run."""
+        first = [RRD_FILE] if self.rrd_path.exists() else []
+        return first + sorted(file.name for file in self.path.glob("flight-*.rrd"))
 
     def new_rrd_path(self) -> Path:
         """Where the next Rerun recording goes."""
         if not self.rrd_path.exists():
             return self.rrd_path
-        return self.path / f"flight-{len(self.more_recordings()) + 2}.rrd"
+        return self.path / f"flight-{len(self.recordings()) + 1}.rrd"
 
     def mission_text(self) -> str:
         """Read the mission as flown."""

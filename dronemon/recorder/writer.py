@@ -281,7 +281,7 @@ class RunRecorder:
         try:
             files = {
                 name: fingerprint(self.folder.path / name)
-                for name in (*RUN_FILES, *self.folder.more_recordings())
+                for name in dict.fromkeys((*RUN_FILES, *self.folder.recordings()))
                 if name != SUMMARY_FILE and (self.folder.path / name).exists()
             }
             head = {"outcome": outcome, "ended": _stamp("seconds")}

@@ -1,4 +1,4 @@
-"""The live page: Rerun's own web viewer, in a child process bound to loopback.
+"""Rerun's own viewer in a child process bound to loopback: a page, or a window on a display.
 
 The child gets the recording's bytes on its standard input. It is no part of our process, because a
 server inside it would listen on every interface with its page, and wait forever for a browser that
@@ -13,6 +13,7 @@ import signal
 import socket
 import subprocess
 import threading
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import quote
@@ -29,24 +30,65 @@ UNTIL_STDIN_CLOSES = '{ cat; sleep 0.5; kill 0; } | "$@"'
 """Shell script: feed a command until our end of its standard input closes, however we end."""
 
 
-class LivePage:
-    """Serves the viewer until it is closed; `url` opens it in a browser, data are on `data_port`.
+@dataclass(frozen=True, slots=True)
+class Viewer:
+    """How what is to be seen is seen: in a window here, or on a page.
 
-    `error` says why the page shows no more, if so.
+    command: takes recordings by name, or one on its standard input for `-`
+    url:     of the page; None where a window opens
     """
 
-    def __init__(self, data_port: int) -> None:
-        if not _is_free(data_port):
-            raise ViewError(
-                f"port {data_port} on {LOOPBACK} is taken, so the live view cannot be served there;"
-                " end the other viewer or flight, or set another view.port in the mission"
-            )
-        page_port = _free_port(PAGE_PORT)
-        source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
-        self.url = f"http://{LOOPBACK}:{page_port}/?theme=dark&url={source}"
+    command: tuple[str, ...]
+    url: str | None
+
+    @property
+    def where(self) -> str:
+        """Where to look, in words; by ssh also how to get there."""
+        if self.url is None:
+            return "a window of the Rerun viewer opens"
+        if "SSH_CONNECTION" not in os.environ:
+            return self.url
+        ports = [word for word in self.command if word.isdecimal()]
+        tunnels = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in ports)
+        return f"{self.url} (from where you sit, first: ssh -N {tunnels} {socket.gethostname()})"
+
+
+def find_viewer(data_port: int, other_port: str) -> Viewer:
+    """A window where there is a display, else a page whose data are on a port of loopback.
+
+    other_port: how to choose another one, for the error. Raises ViewError.
+    """
+    if not _is_free(data_port):
+        raise ViewError(
+            f"port {data_port} on {LOOPBACK} is taken, so nothing can be shown there;"
+            f" end the other viewer or flight, or {other_port}"
+        )
+    ports = ("--bind", LOOPBACK, "--port", str(data_port))
+    if _has_display():
+        return Viewer((_rerun_program(), *ports), None)
+    page_port = _free_port(PAGE_PORT)
+    source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
+    serving = ("--serve-web", "--web-viewer-port", str(page_port))
+    return Viewer(
+        (_rerun_program(), *ports, *serving, "--server-memory-limit", SERVER_MEMORY),
+        f"http://{LOOPBACK}:{page_port}/?theme=dark&url={source}",
+    )
+
+
+def _has_display() -> bool:
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+class LivePage:
+    """Shows a recording while it grows, until it is closed.
+
+    `error` says why nothing more is shown, if so.
+    """
+
+    def __init__(self, viewer: Viewer) -> None:
         self.error: str | None = None
         self._waiting = BoundedQueue[bytes](max_bytes=MAX_WAITING_BYTES)
-        self._process = _serve(data_port, page_port)
+        self._process = _start(viewer)
         self._thread = threading.Thread(target=self._write, name="viz-page", daemon=True)
         self._thread.start()
 
@@ -84,14 +126,9 @@ class LivePage:
         self.error = self.error or "the live page stopped: its process ended"
 
 
-def _serve(data_port: int, page_port: int) -> subprocess.Popen[bytes]:
-    command = [
-        *(_rerun_program(), "-", "--serve-web", "--bind", LOOPBACK),
-        *("--port", str(data_port), "--web-viewer-port", str(page_port)),
-        *("--server-memory-limit", SERVER_MEMORY),
-    ]
+def _start(viewer: Viewer) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        ["/bin/sh", "-c", UNTIL_STDIN_CLOSES, "sh", *command],
+        ["/bin/sh", "-c", UNTIL_STDIN_CLOSES, "sh", *viewer.command, "-"],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -21,7 +21,7 @@ from dronemon.mission import Mission
 from dronemon.viz.drawing import Drawing
 from dronemon.viz.entities import blueprint
 from dronemon.viz.file import RecordingFile
-from dronemon.viz.page import LivePage
+from dronemon.viz.page import LivePage, Viewer, find_viewer
 from dronemon.waiting import BoundedQueue
 
 POSE_INTERVAL_S, POSE_INTERVAL_WALL_S = 0.2, 0.05
@@ -53,15 +53,16 @@ class FlightView:
         self._queue = BoundedQueue[Event](max_items=max_events, max_bytes=max_bytes)
         self._num_failed = 0
         self._failure: str | None = None
+        self._viewer: Viewer | None = None
         self._page: LivePage | None = None
         speed_up = mission.vehicle.speed_up if mission.vehicle.is_mock else 1.0
         self._pose_interval_s = max(POSE_INTERVAL_S, POSE_INTERVAL_WALL_S * speed_up)
         self._pose_due_s = -np.inf
 
     @property
-    def url(self) -> str | None:
-        """Address of the live page; None without one."""
-        return self._page.url if self._page else None
+    def where(self) -> str | None:
+        """Where to look while it flies, in words; None where nothing is shown."""
+        return self._viewer.where if self._viewer else None
 
     @property
     def dropped(self) -> int:
@@ -86,7 +87,10 @@ class FlightView:
         recording.set_log_time_enabled(False)
         with contextlib.ExitStack() as undo:
             if is_live:
-                self._page = LivePage(mission.view.port)
+                self._viewer = find_viewer(
+                    mission.view.port, "set another view.port in the mission"
+                )
+                self._page = LivePage(self._viewer)
                 undo.callback(self._page.close)
             self._file = RecordingFile(self._rrd_path, self._page)
             undo.pop_all()

@@ -1,4 +1,5 @@
 import math
+import os
 import resource
 import signal
 import socket
@@ -12,6 +13,7 @@ from functools import partialmethod
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import psutil
@@ -34,9 +36,10 @@ from dronemon.events import (
 from dronemon.frames import AreaFrame, GeoPoint, ground_to_pixel
 from dronemon.mission import Mission
 from dronemon.mission.schema import Area, Target, View
+from dronemon.recorder import LINE_FILES
 from dronemon.types import Detection, Measurement, Picture, Pose
 from dronemon.viz import FlightView, belief_grid_au
-from dronemon.viz.page import LivePage
+from dronemon.viz.page import LivePage, find_viewer
 
 AREA = AreaFrame(
     centre_ned_m=(30.0, -12.0),
@@ -59,6 +62,13 @@ def view(path: Path, *, port: int | None = None, **limits: int) -> FlightView:
     """A view of the mission, live where a port is given."""
     view = View() if port is None else View(live=True, port=port)
     return FlightView(path, MISSION.model_copy(update={"view": view}), **limits)
+
+
+@pytest.fixture(autouse=True)
+def _nowhere_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No display, and nobody who came by ssh: what is shown is shown on a page here."""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SSH_CONNECTION"):
+        monkeypatch.delenv(name, raising=False)
 
 
 def pose(time_s: float, position_au: tuple[float, float] = (0.5, 0.5)) -> Pose:
@@ -180,7 +190,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recorded") / "flight.rrd"
     with view(path) as shown:
         fly(shown)
-    assert (shown.dropped, shown.error, shown.url) == (0, None, None)
+    assert (shown.dropped, shown.error, shown.where) == (0, None, None)
     return path
 
 
@@ -366,7 +376,7 @@ sys.path[:0] = [repository, tests]
 from test_flight_view import fly, view
 with view(Path(path), port=None if port == "none" else int(port)) as shown:
     fly(shown)
-    print(shown.url, flush=True)
+    print(shown.where, flush=True)
     sys.stdin.read()
 """
 
@@ -440,8 +450,8 @@ def test_the_live_page_is_served_on_loopback_only_and_carries_the_recording(
     before, port = listening(), free_port()
     with view(tmp_path / "flight.rrd", port=port) as shown:
         fly(shown)
-        assert shown.url is not None
-        wait_until(lambda: is_served(shown.url or ""))
+        assert shown.where is not None
+        wait_until(lambda: is_served(shown.where or ""))
         opened = listening() - before
         assert {address for address, _ in opened} == {"127.0.0.1"}
         assert port in {number for _, number in opened}
@@ -490,7 +500,7 @@ def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
     monkeypatch.setattr(LivePage, "close", partialmethod(LivePage.close, 0.5))
     others = set(psutil.Process().children(recursive=True))  # of tests before this one
     with view(tmp_path / "flight.rrd", port=free_port(), max_events=2000) as shown:
-        wait_until(lambda: is_served(shown.url or ""))
+        wait_until(lambda: is_served(shown.where or ""))
         for process in set(psutil.Process().children(recursive=True)) - others:
             process.suspend()
         fly(shown, num_measurements=20)
@@ -500,11 +510,53 @@ def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
     assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 20
 
 
+def test_by_ssh_it_is_said_how_to_get_to_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = free_port()
+    monkeypatch.setenv("SSH_CONNECTION", "10.0.0.1 50000 10.0.0.2 22")
+    viewer = find_viewer(port, "choose another")
+    assert viewer.url is not None
+    page_port = urlsplit(viewer.url).port
+    assert f"-L {port}:127.0.0.1:{port} -L {page_port}:127.0.0.1:{page_port}" in viewer.where
+
+
+@pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY"])
+def test_on_a_display_a_window_opens(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(name, ":0")
+    viewer = find_viewer(free_port(), "choose another")
+    assert viewer.url is None
+    assert "window" in viewer.where
+    assert "--serve-web" not in viewer.command
+    assert "127.0.0.1" in viewer.command
+
+
+def test_a_recording_is_shown_until_ctrl_c(tmp_path: Path) -> None:
+    run, port = tmp_path / "run", free_port()
+    run.mkdir()
+    for name in ("mission.yaml", "summary.json", *LINE_FILES):
+        (run / name).write_text("{}")
+    with view(run / "flight.rrd") as shown:
+        fly(shown)
+    child = subprocess.Popen(
+        [sys.executable, "-m", "dronemon.cli", "view", str(run), "--port", str(port)],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert child.stdout is not None
+    with child.stdout:
+        url = child.stdout.readline().split(";")[0]
+        wait_until(lambda: is_served(url))
+        wait_until(lambda: is_open(port))
+        os.killpg(child.pid, signal.SIGINT)
+        assert child.wait(30.0) == 0
+    assert not is_open(port)
+
+
 def test_nothing_is_served_without_a_live_view(tmp_path: Path) -> None:
     before = listening()
     with view(tmp_path / "flight.rrd") as shown:
         assert listening() == before
-        assert shown.url is None
+        assert shown.where is None
 
 
 def test_handing_over_costs_the_flight_little(tmp_path: Path) -> None:

@@ -1,0 +1,37 @@
+"""`dronemon view`: a flight's recording in Rerun's viewer."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dronemon.errors import RecordError, ViewError
+from dronemon.mission.schema import View
+from dronemon.recorder import RunFolder
+from dronemon.terminal import console
+from dronemon.viz.page import find_viewer
+
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
+_PORT = View().port
+PortOption = Annotated[int, typer.Option(min=1024, max=65535, help="Of the data, on 127.0.0.1.")]
+
+
+def view_command(run: RunArgument, port: PortOption = _PORT) -> None:
+    """Look at a flight's recording: in a window, or without a display on a page of this machine."""
+    folder = RunFolder.open(run)
+    recordings = [run / name for name in folder.recordings()]
+    if not recordings:
+        raise RecordError(f"{run}: it has no recording: the flight ended before one was begun")
+    viewer = find_viewer(port, "choose another --port")
+    console.print(f"{viewer.where}; Ctrl-C ends it", soft_wrap=True, markup=False)
+    program = subprocess.Popen(
+        [*viewer.command, *recordings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    with contextlib.suppress(KeyboardInterrupt):
+        if status := program.wait():
+            raise ViewError(f"the Rerun viewer ended with status {status}")
+    program.wait()  # Ctrl-C is for it, too
