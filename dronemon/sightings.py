@@ -148,12 +148,13 @@ class Sightings:
         points = np.zeros((num_targets, 1 + len(recent), 3))
         values = np.zeros(points.shape[:2])
         mask = np.ones(points.shape[:2], dtype=np.bool_)
+        points[:, 1:, :2] = np.reshape([m.agent_au for m in recent], (-1, 2))
+        points[:, 1:, 2] = [m.time_au for m in recent]
         for column, measurement in enumerate(recent, start=1):
-            seen = np.flatnonzero(measurement.seen)
-            points[:, column, :2] = measurement.agent_au
-            points[:, column, 2] = measurement.time_au
-            points[seen, column, :2] = measurement.target_au[seen]
-            values[seen, column] = 1.0
+            if measurement.seen.any():
+                seen = np.flatnonzero(measurement.seen)
+                points[seen, column, :2] = measurement.target_au[seen]
+                values[seen, column] = 1.0
         known = np.flatnonzero(self._has_prior)
         mask[:, 0] = False
         mask[known, 0] = self.time_au < span_au

@@ -114,9 +114,13 @@ class LearnedPlanner:
         )
 
     def _follow(self, sightings: Sightings, time_au: torch.Tensor) -> torch.Tensor:
-        """Take in what was measured since the last decision. -> tracks (1, N, T)."""
+        """Take in what was measured since the last decision. -> tracks (1, N, T).
+
+        They are empty where the network is not shown any.
+        """
         ahead = self._num_imagined
-        for measurement in sightings.since(self._num_read):
+        is_shown = self._network.config.tracks
+        for measurement in sightings.since(self._num_read if is_shown else len(sightings)):
             self._tracks.widen(ahead + len(measurement.seen))
             self._tracks.add(
                 torch.tensor([measurement.time_au], dtype=torch.float64),
