@@ -136,11 +136,14 @@ class Believed(Event):
 
     mean: (N, G, G) expected presence
     std:  (N, G, G) its standard deviation
+    mean_later, std_later: the same PREDICTION_AU later, when nobody looks until then
     """
 
     time_s: float
     mean: FloatArray
     std: FloatArray
+    mean_later: FloatArray
+    std_later: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,8 @@
-"""The targets' colours, the same in every picture and on every map."""
+"""What pictures and maps have alike: the targets' colours, and round lengths for scales."""
 
 from __future__ import annotations
+
+import math
 
 Rgb = tuple[int, int, int]
 TARGET_RGB = (
@@ -18,3 +20,9 @@ TARGET_RGB = (
 def target_rgb(index: int) -> Rgb:
     """Colour of the target with this number."""
     return TARGET_RGB[index % len(TARGET_RGB)]
+
+
+def round_length_m(most_m: float) -> float:
+    """The greatest of 1, 2, 5, 10, 20, … m that is no longer than this."""
+    power = 10.0 ** math.floor(math.log10(most_m))
+    return power * max(factor for factor in (1, 2, 5) if factor * power <= most_m)

@@ -22,10 +22,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from dronemon.policy.tracks import mirrored_tracks
+from dronemon.problem import PREDICTION_AU
 from dronemon.types import FloatArray, IntArray
-
-PREDICTION_AU = 2.0
-"""How much later than now a frame looks at beliefs, too. Source: paper, section IV-A."""
 
 
 def frame_points(nodes_au: Tensor, time_au: Tensor) -> Tensor:

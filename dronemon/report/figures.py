@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D, Transform
 
 from dronemon.arena import ARENA
-from dronemon.palette import target_rgb
+from dronemon.palette import round_length_m, target_rgb
 from dronemon.problem import LOST_STD
 from dronemon.report.flight import Flight
 from dronemon.types import FloatArray
@@ -101,9 +100,7 @@ def _au_to_map(flight: Flight) -> Transform:
 
 def _draw_scale(panel: Axes, low: FloatArray, high: FloatArray) -> None:
     """A bar of a round length below the map."""
-    longest_m = _SHARE_OF_SCALE * float(high[0] - low[0])
-    power = 10.0 ** math.floor(math.log10(longest_m))
-    length_m = power * max(factor for factor in (1, 2, 5) if factor * power <= longest_m)
+    length_m = round_length_m(_SHARE_OF_SCALE * float(high[0] - low[0]))
     row = low[1] - 0.05 * float(high[1] - low[1])
     panel.plot([high[0] - length_m, high[0]], [row, row], color="black", linewidth=2.0)
     panel.annotate(

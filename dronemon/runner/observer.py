@@ -13,6 +13,7 @@ from dronemon.camera import check_picture
 from dronemon.errors import CameraError
 from dronemon.events import Believed, EventStream, Measured, Pictured
 from dronemon.frames import AreaFrame
+from dronemon.problem import PREDICTION_AU
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, make_belief
@@ -186,9 +187,20 @@ class Observer:
 
     async def _show_beliefs(self, time_s: float, time_au: float) -> None:
         rows, columns, _ = self._grid_au.shape
-        query = np.concatenate(
-            [self._grid_au.reshape(-1, 2), np.full((rows * columns, 1), time_au)], axis=-1
+        grid_au = self._grid_au.reshape(-1, 2)
+        times_au = np.repeat([time_au, time_au + PREDICTION_AU], len(grid_au))
+        query = np.concatenate([np.tile(grid_au, (2, 1)), times_au[:, None]], axis=-1)
+        posterior = await asyncio.to_thread(self.belief.posterior, query)
+        shape = (-1, 2, rows, columns)
+        (mean, mean_later), (std, std_later) = (
+            np.moveaxis(values.reshape(shape), 1, 0) for values in posterior
         )
-        mean, std = await asyncio.to_thread(self.belief.posterior, query)
-        shape = (-1, rows, columns)
-        self._events.emit(Believed(time_s=time_s, mean=mean.reshape(shape), std=std.reshape(shape)))
+        self._events.emit(
+            Believed(
+                time_s=time_s,
+                mean=mean,
+                std=std,
+                mean_later=mean_later,
+                std_later=std_later,
+            )
+        )

@@ -5,6 +5,8 @@ What happens before the area is known appears in the log and the time series, bu
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 import rerun as rr
 
@@ -27,8 +29,10 @@ from dronemon.palette import Rgb, target_rgb
 from dronemon.types import FloatArray, Pose
 from dronemon.viz.entities import (
     BLUE,
+    CAMERA,
     DARK,
     GREY,
+    KINDS,
     SERIES,
     TIMELINE,
     WHITE,
@@ -40,10 +44,17 @@ from dronemon.viz.entities import (
     ned_to_map,
     path,
     rings,
+    shown_half_m,
 )
+from dronemon.viz.furniture import lay_furniture
+from dronemon.viz.scene import Scene
 
 JPEG_QUALITY = 80
 TRAJECTORY_INTERVAL_S = 0.5
+TRAIL_S, TRAIL_PARTS, TRAIL_INTERVAL_S = 120.0, 12, 2.0
+"""Of the way flown lately: how much of it fades, in how many steps, and how often it is drawn."""
+_LIKELY = 0.02
+"""A choice that the planner thinks less likely than this is not drawn."""
 _CLOCK_DOUBT_S = 5.0
 _ARROW = np.array([[-0.6, 0.8], [0.0, -1.0], [0.6, 0.8], [0.0, 0.4], [-0.6, 0.8]])
 _COLORMAPS = {"mean": rr.components.Colormap.Inferno, "std": rr.components.Colormap.Viridis}
@@ -57,10 +68,14 @@ class Drawing:
         self._names = tuple(target.name for target in mission.targets)
         self._numbers: dict[str, int] = {t.appearance: i for i, t in enumerate(mission.targets)}
         self._camera = mission.camera.model
+        self._margin_m = mission.flight.fence_margin_m
         self._area: AreaFrame | None = None
         self._radius_m = 0.0
         self._is_grid_laid = False
-        self._trail: tuple[float, FloatArray] | None = None
+        self._scene: Scene | None = None
+        self._nodes_au: FloatArray | None = None
+        self._trail = deque[tuple[float, FloatArray]]()
+        self._trail_due_s = -np.inf
         self._seen_s: dict[int, float] = {}
         self._seen_au: dict[int, FloatArray] = {}
         self._time_s: float | None = None
@@ -114,6 +129,10 @@ class Drawing:
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
         log("map/roadmap/edges", lines(nodes[pairs], DARK, 0.5, order=10), static=True)
         log("map/roadmap/nodes", dots(nodes, DARK, 1.5, order=10), static=True)
+        self._nodes_au = event.nodes_au
+        self._scene = Scene(self._rec, event, self._camera, self._names)
+        half_m = shown_half_m(area.side_m, area.heading_rad) + self._margin_m
+        lay_furniture(self._rec, half_m, area.side_m, self._names)
 
     def _move(self, pose: Pose) -> None:
         """Move the vehicle, extend its trajectory and the series of speed and height."""
@@ -125,29 +144,52 @@ class Drawing:
         position = ned_to_map(np.array(pose.position_ned_m), self._area)
         turn = rr.RotationAxisAngle(axis=[0, 0, 1], radians=pose.attitude_rad[2])
         self._rec.log("map/vehicle", rr.Transform3D(translation=[*position, 0.0], rotation=turn))
-        if self._trail is None or pose.time_s < self._trail[0]:
-            self._trail = (pose.time_s, position)
-        elif pose.time_s - self._trail[0] >= TRAJECTORY_INTERVAL_S:
-            leg = [[self._trail[1], position]]
-            self._rec.log("map/trajectory", lines(leg, GREY, 0.8, order=20))
-            self._trail = (pose.time_s, position)
+        if self._scene is not None:
+            self._scene.move(pose)
+        self._follow(pose, position)
+
+    def _follow(self, pose: Pose, position: FloatArray) -> None:
+        """Extend the way flown, and let its last part fade."""
+        trail, now_s = self._trail, pose.time_s + self._offset_s
+        if trail and now_s - trail[-1][0] < TRAJECTORY_INTERVAL_S:
+            return
+        if trail:
+            self._rec.log("map/trajectory", lines([[trail[-1][1], position]], DARK, 0.8, order=20))
+        trail.append((now_s, position))
+        while trail[0][0] < now_s - TRAIL_S:
+            trail.popleft()
+        if now_s < self._trail_due_s or len(trail) < 2:
+            return
+        self._trail_due_s = now_s + TRAIL_INTERVAL_S
+        points = np.array([place for _, place in trail])
+        size = -(-len(points) // TRAIL_PARTS)
+        strips = [points[first : first + size + 1] for first in range(0, len(points) - 1, size)]
+        shares = np.linspace(0.15, 1.0, len(strips))
+        rgba = [(*WHITE, round(255 * share)) for share in shares]
+        self._rec.log("map/trail", lines(strips, rgba, 1.4, order=22))
+        if self._scene is not None and self._area is not None:
+            ned_m = points[:, ::-1] * (-1.0, 1.0) + self._area.centre_ned_m
+            down_m = np.full((len(points), 1), pose.position_ned_m[2])
+            self._scene.extend_trail(list(np.concatenate([ned_m, down_m], axis=-1)))
 
     def _picture(self, event: Pictured) -> None:
         """Show picture, detections and the footprint's edge."""
         picture, found = event.picture, event.detections
         self._set_time(picture.time_s)
-        self._rec.log("camera", rr.Image(picture.image, color_model="BGR").compress(JPEG_QUALITY))
+        self._rec.log(
+            f"{CAMERA}/picture", rr.Image(picture.image, color_model="BGR").compress(JPEG_QUALITY)
+        )
         shown = [self._name_and_rgb(detection.appearance) for detection in found]
         labels = [f"{name} {d.score:.2f}" for (name, _), d in zip(shown, found, strict=True)]
         marks = dots([d.pixel_px for d in found], [rgb for _, rgb in shown], 5.0, labels=labels)
-        self._rec.log("camera/detections", marks)
+        self._rec.log(f"{CAMERA}/detections", marks)
         if self._area is not None:
             angle = np.linspace(0.0, 2.0 * np.pi, 61)
             ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * self._radius_m
             edge = ring + event.pose.position_ned_m[:2]
             edge_px = ground_to_pixel(edge, self._camera, event.pose, self._area.ground_down_m)
             edge_px = edge_px[np.isfinite(edge_px).all(axis=-1)]
-            self._rec.log("camera/footprint", lines([edge_px], WHITE, 1.0))
+            self._rec.log(f"{CAMERA}/footprint", lines([edge_px], WHITE, 1.0))
 
     def _name_and_rgb(self, appearance: str) -> tuple[str, Rgb]:
         number = self._numbers.get(appearance)
@@ -171,6 +213,8 @@ class Drawing:
                     place = [au_to_map(self._seen_au[number], self._area)]
                     mark = dots(place, target_rgb(number), 5.0, order=60, labels=[name])
                     self._rec.log(path("map", "seen", name), mark)
+                if self._scene is not None:
+                    self._scene.see(number, self._seen_au[number])
             since_s = now_s - self._seen_s.setdefault(number, now_s)  # or from the first look
             self._rec.log(path("plots", "since_seen", name), rr.Scalars(since_s))
 
@@ -181,30 +225,60 @@ class Drawing:
         num_points = std.shape[-1]
         if not self._is_grid_laid:
             self._is_grid_laid = True
-            each = [path("map", kind, name) for kind in _COLORMAPS for name in self._names]
+            each = [path("map", kind, name) for kind in KINDS for name in self._names]
             for entity in ("map/belief", *each):
                 log(entity, grid_transform(area, num_points), static=True)
-        log("map/belief", rr.Image(belief_rgb(mean, std), magnification_filter="linear"))
-        for number, name in enumerate(self._names):
-            for kind, values in (("mean", mean), ("std", std)):
+        rgb = belief_rgb(mean, std)
+        log("map/belief", rr.Image(rgb, magnification_filter="linear"))
+        if self._scene is not None:
+            self._scene.lay_belief(rgb)
+        shown = zip(KINDS, (mean, std, event.mean_later, event.std_later), strict=True)
+        for kind, values in shown:
+            for number, name in enumerate(self._names):
                 image = rr.DepthImage(
                     values[number].astype(np.float16),
                     depth_range=(0.0, 1.0),
-                    colormap=_COLORMAPS[kind],
+                    colormap=_COLORMAPS[kind.removesuffix("_later")],
                     magnification_filter="linear",
                 )
                 log(path("map", kind, name), image)
+        for number, name in enumerate(self._names):
             if number in self._seen_au:
                 x, y = np.rint(self._seen_au[number] * (num_points - 1)).astype(int)
                 log(path("plots", "std", name), rr.Scalars(std[number, y, x]))
 
     def _waypoint(self, event: Decided) -> None:
         """Draw the leg; extend the series of decision times."""
-        self._series(event.time_s, decision_ms=event.decision_ms)
+        value = event.details.get("value", event.details.get("gain"))
+        self._series(
+            event.time_s,
+            decision_ms=event.decision_ms,
+            value=value if isinstance(value, float) else None,
+        )
         if self._area is not None:
+            self._choices(event, self._area)
             leg = au_to_map(np.stack([event.position_au, event.waypoint_au]), self._area)
             end = dots(leg[1:], WHITE, 4.0)
             self._rec.log("map/waypoint", lines([leg], WHITE, 1.5, order=25), end)
+
+    def _choices(self, event: Decided, area: AreaFrame) -> None:
+        """Draw what the planner weighed: neighbours by their probability, or the path it has."""
+        ways_au, shares, labels = list[FloatArray](), np.empty(0), list[str]()
+        match event.details:
+            case {"neighbours": [*nodes], "logits": [*logits]} if self._nodes_au is not None:
+                chances = np.exp(np.array(logits, dtype=np.float64))
+                chances /= chances.sum()
+                likely = np.flatnonzero(chances >= _LIKELY)
+                ends_au = self._nodes_au[np.array(nodes, dtype=np.int64)[likely]]
+                ways_au = [np.stack([event.position_au, end_au]) for end_au in ends_au]
+                shares = chances[likely]
+                labels = [f"{share:.0%}" for share in shares]
+            case {"path": [*path_au]}:
+                way_au = [event.position_au, *np.array(path_au, dtype=np.float64)]
+                ways_au, shares, labels = [np.array(way_au)], np.array([0.5]), [""]
+        rgba = [(*BLUE, round(60 + 195 * share)) for share in shares]
+        strips = [au_to_map(way_au, area) for way_au in ways_au]
+        self._rec.log("map/choices", lines(strips, rgba, 1.2, order=24, labels=labels))
 
     def _truth(self, event: TruthTold, area: AreaFrame) -> None:
         """Draw a ring around each target."""

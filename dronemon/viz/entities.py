@@ -6,9 +6,14 @@ down in Rerun's 2D views.
     map/area, map/fence, map/roadmap static: the unit square, the fence, nodes and edges
     map/belief                       fog where unsure, each target's colour where it is expected
     map/mean/NAME, map/std/NAME      one target's posterior on the grid
+    map/mean_later/..., map/std_later/...  the same PREDICTION_AU later
     map/seen/NAME, map/truth/NAME    where the target was seen last; where the simulator has it
-    map/trajectory, map/vehicle, map/waypoint
-    camera, camera/footprint, camera/detections
+    map/trajectory, map/trail        all of the way flown, and the last two minutes, fading
+    map/vehicle, map/waypoint        the drone; where it goes now
+    map/choices                      ways that the planner weighed, the better the brighter
+    map/furniture/...                scale, north, whose colour is whose
+    help                             words on all that
+    scene/..., world/...             see `viz.scene`; the camera is CAMERA, in the scene
     plots/SERIES, plots/since_seen/NAME, plots/std/NAME
     events
 """
@@ -28,6 +33,15 @@ from dronemon.palette import Rgb, target_rgb
 from dronemon.types import FloatArray, ImageArray
 
 TIMELINE = "vehicle_time"
+CAMERA = "scene/vehicle/camera"
+"""Its pictures and what is marked in them; the scene shows them where they are taken."""
+KINDS = {
+    "mean": "expected",
+    "std": "uncertainty",
+    "mean_later": "expected soon",
+    "std_later": "uncertainty soon",
+}
+"""Pictures of one target's belief."""
 SERIES = {
     "ground_speed_m_s": "Ground speed (m/s)",
     "height_m": "Height (m)",
@@ -35,6 +49,7 @@ SERIES = {
     "battery_needed": "Battery needed to come home (0 to 1)",
     "cross_track_m": "Cross-track error (m)",
     "decision_ms": "Decision time (ms)",
+    "value": "What the planner expects to gain",
 }
 """Time series about the vehicle and their titles."""
 WHITE = (240, 244, 250)
@@ -51,10 +66,25 @@ def path(*parts: str) -> str:
 
 
 def lines(
-    strips: Any, rgb: Rgb | list[Rgb], width: float, *, order: float | None = None
+    strips: Any,
+    rgb: Any,
+    width: float,
+    *,
+    order: float | None = None,
+    labels: Sequence[str] | None = None,
 ) -> rr.LineStrips2D:
-    """Lines of this width on the screen; a higher order covers a lower one."""
-    return rr.LineStrips2D(strips, colors=rgb, radii=rr.Radius.ui_points(width), draw_order=order)
+    """Lines of this width on the screen, with labels if given; a higher order covers a lower one.
+
+    rgb: of all, or of each, with opacity or without
+    """
+    return rr.LineStrips2D(
+        strips,
+        colors=rgb,
+        radii=rr.Radius.ui_points(width),
+        draw_order=order,
+        labels=labels,
+        show_labels=None if labels is None else True,
+    )
 
 
 def dots(
@@ -125,21 +155,29 @@ def belief_rgb(mean: FloatArray, std: FloatArray) -> ImageArray:
     return image
 
 
+def shown_half_m(side_m: float, heading_rad: float) -> float:
+    """Half the width of what a map of the area shows, the area being turned."""
+    return side_m * (abs(math.cos(heading_rad)) + abs(math.sin(heading_rad))) / 2.0 * 1.06
+
+
 def blueprint(
-    names: Sequence[str], side_m: float, heading_rad: float, margin_m: float
+    names: Sequence[str], side_m: float, heading_rad: float, margin_m: float, legend_m: float
 ) -> rrb.Blueprint:
-    """Lay out the viewer: map, with a margin, and beliefs left; picture, plots and events right."""
-    half_m = side_m * (abs(math.cos(heading_rad)) + abs(math.sin(heading_rad))) / 2.0 * 1.06
-    beliefs = rrb.Grid(
-        *(_belief_view(kind, name, half_m) for kind in ("mean", "std") for name in names),
-        grid_columns=len(names),
+    """Lay out the viewer: a tab for who flies, one for who studies, one that says what is what.
+
+    margin_m: round the area on the map; legend_m: more left of it
+    """
+    half_m = shown_half_m(side_m, heading_rad)
+    plots = {key: _plot(title, f"plots/{key}") for key, title in SERIES.items()}
+    flying = [plots[key] for key in ("ground_speed_m_s", "height_m", "cross_track_m")]
+    batteries = rrb.TimeSeriesView(
+        origin="plots",
+        contents=["+ plots/battery", "+ plots/battery_needed"],
+        name="Battery (0 to 1)",
+        axis_x=_ALL_TIME,
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.0)),
     )
-    targets = rrb.Tabs(
-        _plot("Time since seen (s)", "plots/since_seen"),
-        _plot("Standard deviation where last seen", "plots/std", (0.0, 1.05)),
-        active_tab=1,
-    )
-    series = rrb.Tabs(*(_plot(title, f"plots/{key}") for key, title in SERIES.items()))
+    since = _plot("Time since seen (s)", "plots/since_seen")
     events = rrb.TextLogView(
         origin="events",
         name="Events",
@@ -147,29 +185,62 @@ def blueprint(
             timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
         ),
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(_map_view(half_m + margin_m), beliefs, row_shares=[3, 2]),
-            rrb.Vertical(
-                rrb.Spatial2DView(origin="camera", name="Camera"),
-                targets,
-                series,
-                events,
-                row_shares=[5, 2, 2, 2],
-            ),
-            column_shares=[5, 4],
+    pilot = rrb.Horizontal(
+        rrb.Tabs(
+            _map_view(half_m + margin_m, legend_m),
+            rrb.Spatial3DView(origin="scene", name="3-D"),
+            rrb.MapView(origin="world", name="On the globe", zoom=_zoom(side_m)),
         ),
+        rrb.Vertical(
+            rrb.Spatial2DView(origin=CAMERA, name="Camera"),
+            since,
+            rrb.Tabs(batteries, *flying),
+            events,
+            row_shares=[5, 2, 2, 2],
+        ),
+        column_shares=[5, 4],
+        name="Flight",
+    )
+    each = [
+        rrb.Horizontal(*(_belief_view(kind, name, half_m) for kind in KINDS), name=name)
+        for name in names
+    ]
+    research = rrb.Vertical(
+        rrb.Tabs(*each),
+        rrb.Horizontal(
+            _plot("Uncertainty where last seen (0 to 1)", "plots/std", (0.0, 1.05)),
+            plots["decision_ms"],
+            plots["value"],
+        ),
+        row_shares=[3, 2],
+        name="Beliefs and decisions",
+    )
+    words = rrb.TextDocumentView(origin="help", name="What is what")
+    return rrb.Blueprint(
+        rrb.Tabs(pilot, research, words),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
     )
 
 
-def _bounds(half_m: float) -> rrb.VisualBounds2D:
-    return rrb.VisualBounds2D(x_range=(-half_m, half_m), y_range=(-half_m, half_m))
+def _zoom(side_m: float) -> float:
+    """Of a globe at which an area takes about a third of the view."""
+    return math.log2(4.0e7 / side_m) - 1.0
 
 
-def _map_view(half_m: float) -> rrb.Spatial2DView:
+_ALL_TIME = rrb.TimeAxis(
+    view_range=rr.TimeRange(
+        start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+    )
+)
+
+
+def _bounds(half_m: float, more_left_m: float = 0.0) -> rrb.VisualBounds2D:
+    return rrb.VisualBounds2D(x_range=(-half_m - more_left_m, half_m), y_range=(-half_m, half_m))
+
+
+def _map_view(half_m: float, legend_m: float) -> rrb.Spatial2DView:
     flown = rrb.VisibleTimeRanges(
         rrb.VisibleTimeRange(
             TIMELINE,
@@ -179,15 +250,14 @@ def _map_view(half_m: float) -> rrb.Spatial2DView:
     )
     return rrb.Spatial2DView(
         origin="map",
-        contents=["+ $origin/**", "- $origin/mean/**", "- $origin/std/**"],
-        name="Map (dot: last seen, ring: true place)",
-        visual_bounds=_bounds(half_m),
+        contents=["+ $origin/**", *(f"- $origin/{kind}/**" for kind in KINDS)],
+        name="Map",
+        visual_bounds=_bounds(half_m, legend_m),
         overrides={"map/trajectory": flown},
     )
 
 
 def _belief_view(kind: str, name: str, half_m: float) -> rrb.Spatial2DView:
-    title = {"mean": f"{name} expected", "std": f"{name} uncertainty"}[kind]
     shown = [
         path("map", kind, name),
         path("map", "seen", name),
@@ -197,18 +267,15 @@ def _belief_view(kind: str, name: str, half_m: float) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin="map",
         contents=[f"+ {entity}/**" for entity in shown],
-        name=title,
+        name=KINDS[kind].capitalize(),
         visual_bounds=_bounds(half_m),
     )
 
 
 def _plot(title: str, origin: str, limits: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
-    everything = rr.TimeRange(
-        start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
-    )
     return rrb.TimeSeriesView(
         origin=origin,
         name=title,
-        axis_x=rrb.TimeAxis(view_range=everything),
+        axis_x=_ALL_TIME,
         axis_y=rrb.ScalarAxis(range=limits) if limits else None,
     )

@@ -21,6 +21,7 @@ from dronemon.mission import Mission
 from dronemon.viz.drawing import Drawing
 from dronemon.viz.entities import blueprint
 from dronemon.viz.file import RecordingFile
+from dronemon.viz.furniture import LEGEND_SHARE
 from dronemon.viz.page import LivePage, Viewer, find_viewer
 from dronemon.waiting import BoundedQueue
 
@@ -96,7 +97,8 @@ class FlightView:
             undo.pop_all()
         names = [target.name for target in mission.targets]
         area, margin_m = mission.area, mission.flight.fence_margin_m
-        layout = blueprint(names, area.side_m, math.radians(area.heading_deg), margin_m)
+        heading_rad, legend_m = math.radians(area.heading_deg), LEGEND_SHARE * area.side_m
+        layout = blueprint(names, area.side_m, heading_rad, margin_m, legend_m)
         self._file.take(recording, layout)
         recording.send_recording_name(mission.name)
         self._drawing = Drawing(recording, mission)
@@ -130,7 +132,7 @@ class FlightView:
             case Pictured():
                 num_bytes = event.picture.image.nbytes
             case Believed():
-                num_bytes = event.mean.nbytes + event.std.nbytes
+                num_bytes = 4 * event.mean.nbytes
         self._queue.put(event, num_bytes)
 
     def _work(self, recording: rr.RecordingStream) -> None:

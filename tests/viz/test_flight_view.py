@@ -9,8 +9,10 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partialmethod
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -33,7 +35,7 @@ from dronemon.events import (
     Stretch,
     TruthTold,
 )
-from dronemon.frames import AreaFrame, GeoPoint, ground_to_pixel
+from dronemon.frames import AreaFrame, GeoPoint, ground_to_pixel, ned_to_geo
 from dronemon.mission import Mission
 from dronemon.mission.schema import Area, Target, View
 from dronemon.recorder import LINE_FILES
@@ -53,7 +55,9 @@ MISSION = Mission(
     area=Area(side_m=AREA.side_m, heading_deg=math.degrees(AREA.heading_rad)),
     targets=(Target(name="Bella", appearance="cow"), Target(name="Rusty & co/2", appearance="fox")),
 )
+ORIGIN = GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0)
 CAMERA = MISSION.camera.model
+PICTURE = "/scene/vehicle/camera/picture"
 RERUN = Path(str(find_spec("rerun_cli").submodule_search_locations[0])) / "rerun"
 REPOSITORY = Path(__file__).parents[2]
 
@@ -96,7 +100,7 @@ def area_laid() -> AreaLaid:
     fence_ned_m = AREA.au_to_ned(np.array([[-0.1, -0.1], [-0.1, 1.1], [1.1, 1.1], [1.1, -0.1]]))
     return AreaLaid(
         area=AREA,
-        origin=GeoPoint(latitude_deg=47.4, longitude_deg=8.5, altitude_m=488.0),
+        origin=ORIGIN,
         footprint_radius_m=20.0,
         fence_ned_m=fence_ned_m,
         nodes_au=nodes_au,
@@ -153,7 +157,9 @@ def fly(shown: FlightView, num_measurements: int = 3) -> None:
         shown.take(TruthTold(time_s=time_s, targets_au=targets_au))
         grid = belief_grid_au(40)
         mean, std = np.stack([grid[..., 0]] * 2), np.stack([grid[..., 1]] * 2)
-        shown.take(Believed(time_s=time_s, mean=mean, std=std))
+        shown.take(
+            Believed(time_s=time_s, mean=mean, std=std, mean_later=0.5 * mean, std_later=std)
+        )
         shown.take(decided(time_s))
         image = rng.integers(0, 256, (480, 640, 3), dtype=np.uint8)
         found = [Detection(appearance="fox", pixel_px=(300.0, 200.0), score=0.9)] * (number % 2)
@@ -246,13 +252,88 @@ def test_belief_values_and_their_orientation_survive(recording: Path) -> None:
     assert std[-1][1] == pytest.approx([29 / 39])  # the grid's row nearest to y = 0.75
 
 
+def test_the_map_has_scale_north_and_legend(recording: Path) -> None:
+    ((_, [label]),) = rows(recording, "/map/furniture/scale", "LineStrips2D:labels")
+    ((_, [bar]),) = rows(recording, "/map/furniture/scale", "LineStrips2D:strips")
+    (left, _), (right, _) = bar
+    assert label == f"{right - left:g} m" == "50 m"
+    ((_, [shaft, _]),) = rows(recording, "/map/furniture/north", "LineStrips2D:strips")
+    assert shaft[0][0] == shaft[1][0]
+    assert shaft[1][1] < shaft[0][1]  # y points down, and north is up
+    ((_, names),) = rows(recording, "/map/furniture/targets", "Points2D:labels")
+    assert names == ["Bella", "Rusty & co/2"]
+    ((_, [words]),) = rows(recording, "/help", "TextDocument:text")
+    for entity in ("Map", "Camera", "Time since seen", "Battery", "Beliefs"):
+        assert f"**{entity}.**" in words
+
+
+def test_the_scene_sees_what_the_camera_sees(recording: Path) -> None:
+    """A place on the ground, taken through the scene's camera, is at its pixel."""
+
+    def static(entity: str, component: str) -> np.ndarray:
+        ((_, [value]),) = rows(recording, entity, component)
+        return np.array(value, dtype=np.float64)
+
+    lens = static("/scene/vehicle/camera", "Pinhole:image_from_camera").reshape(3, 3).T
+    to_body = static("/scene/vehicle/camera", "Transform3D:mat3x3").reshape(3, 3).T
+    time_s, [place] = rows(recording, "/scene/vehicle", "Transform3D:translation")[0]
+    _, [turn] = rows(recording, "/scene/vehicle", "Transform3D:mat3x3")[0]
+    to_scene = np.array(turn, dtype=np.float64).reshape(3, 3).T
+    seen_from = pose(time_s)
+    for ahead_m, aside_m in ((0.0, 0.0), (8.0, 0.0), (0.0, 11.0), (-7.0, 5.0)):
+        ground_ned_m = np.add(seen_from.position_ned_m[:2], (ahead_m, aside_m))
+        north_m, east_m = ground_ned_m - np.array(AREA.centre_ned_m)
+        in_body = to_scene.T @ (np.array([east_m, north_m, 0.0]) - np.array(place))
+        right, down, depth = lens @ (to_body.T @ in_body)
+        pixel_px = ground_to_pixel(ground_ned_m, CAMERA, seen_from, AREA.ground_down_m)
+        assert depth > 0.0
+        assert (right / depth, down / depth) == pytest.approx(pixel_px, abs=0.05)
+
+
+def test_the_globe_has_the_drone_where_it_is(recording: Path) -> None:
+    _, [place] = rows(recording, "/world/vehicle", "GeoPoints:positions")[0]
+    told = ned_to_geo(np.array(pose(100.0).position_ned_m), ORIGIN)
+    assert place == pytest.approx([told.latitude_deg, told.longitude_deg], abs=1e-6)
+
+
+def test_what_the_planner_weighed_is_drawn(tmp_path: Path) -> None:
+    laid = area_laid()
+    choice = replace(decided(1.0), details={"neighbours": [3, 5, 7], "logits": [2.0, 2.0, -9.0]})
+    path = replace(decided(2.0), details={"path": [[0.6, 0.5], [0.7, 0.5]]})
+    with view(tmp_path / "flight.rrd") as shown:
+        for event in (laid, choice, path, replace(decided(3.0), details={})):
+            shown.take(event)
+    strips = [v for _, v in rows(tmp_path / "flight.rrd", "/map/choices", "LineStrips2D:strips")]
+    labels = [v for _, v in rows(tmp_path / "flight.rrd", "/map/choices", "LineStrips2D:labels")]
+    assert labels[:2] == [["50%", "50%"], [""]]
+    assert [len(ways) for ways in strips] == [2, 1, 0]
+    assert len(strips[1][0]) == 3
+    north_m, east_m = AREA.au_to_ned(laid.nodes_au[5]) - np.array(AREA.centre_ned_m)
+    assert strips[0][1][1] == pytest.approx([east_m, -north_m], abs=1e-3)
+
+
+def test_the_trail_fades_and_ends_after_two_minutes(tmp_path: Path) -> None:
+    with view(tmp_path / "flight.rrd") as shown:
+        shown.take(area_laid())
+        for second in range(200):
+            shown.take(Moved(pose=pose(float(second), (0.004 * second, 0.5))))
+    _, strips = rows(tmp_path / "flight.rrd", "/map/trail", "LineStrips2D:strips")[-1]
+    _, colors = rows(tmp_path / "flight.rrd", "/map/trail", "LineStrips2D:colors")[-1]
+    opacity = [color & 255 for color in colors]
+    assert opacity == sorted(opacity)
+    assert opacity[0] < 60
+    assert opacity[-1] == 255
+    length_m = sum(math.dist(a, b) for strip in strips for a, b in pairwise(strip))
+    assert length_m == pytest.approx(0.8 * 120.0, abs=5.0)  # 0.004 au a second
+
+
 def test_pictures_are_jpeg_and_carry_footprint_and_detections(recording: Path) -> None:
-    pictures = rows(recording, "/camera", "EncodedImage:blob")
+    pictures = rows(recording, PICTURE, "EncodedImage:blob")
     assert [t for t, _ in pictures] == [99.9, 103.9, 107.9]
     assert all(bytes(blob[0])[:2] == b"\xff\xd8" for _, blob in pictures)
-    labels = [v for _, v in rows(recording, "/camera/detections", "Points2D:labels")]
+    labels = [v for _, v in rows(recording, "/scene/vehicle/camera/detections", "Points2D:labels")]
     assert labels == [[], ["Rusty & co/2 0.90"], []]
-    (_, [ring]) = rows(recording, "/camera/footprint", "LineStrips2D:strips")[0]
+    (_, [ring]) = rows(recording, "/scene/vehicle/camera/footprint", "LineStrips2D:strips")[0]
     north_m, east_m = pose(99.9).position_ned_m[:2]
     edge_px = ground_to_pixel(
         np.array([north_m + 20.0, east_m]), CAMERA, pose(99.9), AREA.ground_down_m
@@ -310,7 +391,7 @@ def test_waiting_pictures_are_limited_by_their_size(tmp_path: Path) -> None:
             shown.take(Pictured(picture=picture, detections=[], pose=pose(time_s)))
         assert shown.dropped == 3
         go_on.set()
-    assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 2
+    assert len(rows(tmp_path / "flight.rrd", PICTURE, "EncodedImage:blob")) == 2
 
 
 def test_closing_has_a_time_limit_and_counts_what_it_leaves(tmp_path: Path) -> None:
@@ -408,7 +489,7 @@ def end_flight(child: subprocess.Popen[str], number: signal.Signals) -> None:
 def test_an_interrupted_flight_leaves_a_whole_recording(tmp_path: Path) -> None:
     end_flight(start_flight(tmp_path / "flight.rrd", "none"), signal.SIGINT)
     assert verify(tmp_path / "flight.rrd").returncode == 0
-    assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 3
+    assert len(rows(tmp_path / "flight.rrd", PICTURE, "EncodedImage:blob")) == 3
 
 
 def free_port() -> int:
@@ -507,7 +588,7 @@ def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
     assert shown.dropped == 0
     assert shown.error == "the live page stopped: its process ended"
     assert set(psutil.Process().children(recursive=True)) <= others
-    assert len(rows(tmp_path / "flight.rrd", "/camera", "EncodedImage:blob")) == 20
+    assert len(rows(tmp_path / "flight.rrd", PICTURE, "EncodedImage:blob")) == 20
 
 
 def test_by_ssh_it_is_said_how_to_get_to_the_page(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,64 @@
+"""What a map needs to be read: scale, north, whose colour is whose, and words on what is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from dronemon.palette import round_length_m, target_rgb
+from dronemon.viz.entities import GREY, WHITE, dots, lines
+
+LEGEND_SHARE = 0.35
+"""Of the area's width, what the legend takes left of it."""
+_SCALE_SHARE = 0.25
+_ROW_SHARE = 0.06
+HELP = """
+# What is what
+
+**Map.** North is up. The square is the area, the blue line the fence, the arrow the drone; the
+white circle round it is what its camera can see of the ground. A target's *colour* is where it is
+expected now; *grey fog* is where nobody looked lately. A *dot* is where a target was seen last, a
+*ring* where it truly is (known only in simulation). The white trail is the last two minutes. Thin
+lines ahead are the ways that the planner weighed, the better the brighter.
+
+**Camera.** The newest picture, what the detector found in it, and the circle within which finding
+counts.
+
+**Time since seen.** Seconds since each target was seen; a line that climbs is a target out of
+sight.
+
+**Battery.** What is left, and what it would take to come home from here.
+
+**Beliefs.** *Expected*: how likely the target is in each place, from 0 to 1. *Uncertainty*: how
+unsure that is, from 0 (just looked) to 1 (nothing known). *Soon*: the same two au of flight
+later.
+
+All times are the vehicle's.
+"""
+
+
+def lay_furniture(
+    rec: rr.RecordingStream, half_m: float, side_m: float, names: Sequence[str]
+) -> None:
+    """Draw scale, north and legend beside the area, and the page of words; all of it stays.
+
+    half_m: half the width of what the map shows of the area
+    """
+    length_m = round_length_m(_SCALE_SHARE * side_m)
+    row_m = _ROW_SHARE * side_m
+    bottom_m, left_m = half_m - 0.5 * row_m, -half_m - LEGEND_SHARE * side_m
+    bar = [[left_m + row_m, bottom_m], [left_m + row_m + length_m, bottom_m]]
+    scale = lines([bar], WHITE, 2.0, labels=[f"{length_m:g} m"])
+    rec.log("map/furniture/scale", scale, static=True)
+    x_m, top_m = left_m + row_m, -half_m + row_m
+    tip = np.array([x_m, top_m])
+    shaft = tip + row_m * np.array([[0.0, 2.0], [0.0, 0.0]])
+    head = tip + row_m * np.array([[-0.3, 0.5], [0.0, 0.0], [0.3, 0.5]])
+    rec.log("map/furniture/north", lines([shaft, head], GREY, 1.5, labels=["N", ""]), static=True)
+    rows_m = top_m + 3.5 * row_m + row_m * np.arange(len(names))
+    places = np.stack([np.full(len(names), x_m), rows_m], axis=-1)
+    colors = [target_rgb(number) for number in range(len(names))]
+    rec.log("map/furniture/targets", dots(places, colors, 4.0, labels=list(names)), static=True)
+    rec.log("help", rr.TextDocument(HELP.strip(), media_type="text/markdown"), static=True)
