@@ -13,7 +13,7 @@ from dronemon.viz.entities import GREY, WHITE, dots, lines
 LEGEND_SHARE = 0.35
 """Of the area's width, what the legend takes left of it."""
 _SCALE_SHARE = 0.25
-_ROW_SHARE = 0.06
+_ROW_SHARE = 0.09
 HELP = """
 # What is what
 
@@ -46,19 +46,18 @@ def lay_furniture(
 
     half_m: half the width of what the map shows of the area
     """
+    row_m, middle_m = _ROW_SHARE * side_m, -half_m - 0.5 * LEGEND_SHARE * side_m
     length_m = round_length_m(_SCALE_SHARE * side_m)
-    row_m = _ROW_SHARE * side_m
-    bottom_m, left_m = half_m - 0.5 * row_m, -half_m - LEGEND_SHARE * side_m
-    bar = [[left_m + row_m, bottom_m], [left_m + row_m + length_m, bottom_m]]
+    ends_m = middle_m + length_m * np.array([-0.5, 0.5])
+    bar = np.stack([ends_m, np.full(2, half_m - row_m)], axis=-1)
     scale = lines([bar], WHITE, 2.0, labels=[f"{length_m:g} m"])
     rec.log("map/furniture/scale", scale, static=True)
-    x_m, top_m = left_m + row_m, -half_m + row_m
-    tip = np.array([x_m, top_m])
-    shaft = tip + row_m * np.array([[0.0, 2.0], [0.0, 0.0]])
-    head = tip + row_m * np.array([[-0.3, 0.5], [0.0, 0.0], [0.3, 0.5]])
+    tip = np.array([middle_m, -half_m + 0.5 * row_m])
+    shaft = tip + row_m * np.array([[0.0, 1.4], [0.0, 0.0]])
+    head = tip + row_m * np.array([[-0.2, 0.3], [0.0, 0.0], [0.2, 0.3]])
     rec.log("map/furniture/north", lines([shaft, head], GREY, 1.5, labels=["N", ""]), static=True)
-    rows_m = top_m + 3.5 * row_m + row_m * np.arange(len(names))
-    places = np.stack([np.full(len(names), x_m), rows_m], axis=-1)
+    rows_m = tip[1] + row_m * (2.5 + np.arange(len(names)))
+    places = np.stack([np.full(len(names), middle_m), rows_m], axis=-1)
     colors = [target_rgb(number) for number in range(len(names))]
     rec.log("map/furniture/targets", dots(places, colors, 4.0, labels=list(names)), static=True)
     rec.log("help", rr.TextDocument(HELP.strip(), media_type="text/markdown"), static=True)

@@ -142,6 +142,10 @@ def test_observations_are_where_the_animals_are(fly: Callable[..., Flight]):
     assert len(errors_m) >= 3
     assert max(errors_m) < 3.0
     assert sorted(errors_m)[len(errors_m) // 2] < 1.0
+    seen = [t for line in flight.lines("observations") for t in line["targets"].values()]
+    allowed_m = [target["error_m"] for target in seen if target["seen"]]
+    assert max(np.array(errors_m) / allowed_m) < 1.5
+    assert np.mean(np.array(errors_m) > allowed_m) <= 0.1
 
 
 @pytest.mark.slow
