@@ -20,6 +20,7 @@ from dronemon.camera import CropKeeper, FrameSource, SimulatedCamera, VideoCamer
 from dronemon.card import find_checkpoint
 from dronemon.errors import DronemonError, LinkTimeout, VehicleError
 from dronemon.events import Subscriber, TruthTold
+from dronemon.export.live import CotSender
 from dronemon.feasibility import make_planner
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
@@ -57,12 +58,16 @@ class Request:
     settings: parameters of the vehicle meanwhile, by name
     out:      the run folder; a new one if None
     resume:   the run folder of a flight that is to go on, instead
+    cot:      where sightings are sent while it flies, udp://HOST:PORT
+    redact_m: to how many metres that says where; 0: exactly; None: to a kilometre
     """
 
     follow: str | None = None
     settings: Mapping[str, float] = field(default_factory=dict)
     out: Path | None = None
     resume: Path | None = None
+    cot: str | None = None
+    redact_m: float | None = None
 
 
 async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightResult, Summary]:
@@ -156,7 +161,7 @@ async def _with_everything(
                 detector=detector,
                 planner=planner,
                 recorder=recorder,
-                watchers=_open_views(file.mission, recorder.folder, stack),
+                watchers=_open_views(file.mission, recorder.folder, request, stack),
                 interrupts=interrupts,
                 settings=request.settings,
                 folder=recorder.folder.path,
@@ -172,13 +177,16 @@ async def _with_everything(
 
 
 def _open_views(
-    mission: Mission, folder: RunFolder, stack: contextlib.AsyncExitStack
+    mission: Mission, folder: RunFolder, request: Request, stack: contextlib.AsyncExitStack
 ) -> tuple[Subscriber, ...]:
+    sent = list[Subscriber]()
+    if request.cot is not None:
+        sent.append(stack.enter_context(CotSender(request.cot, mission, request.redact_m)))
     view = stack.enter_context(FlightView(folder.new_rrd_path(), mission))
     if view.where:
         console.print(f"live view: {view.where}", soft_wrap=True, markup=False)
     crops = stack.enter_context(CropKeeper(folder.path, mission))
-    return view, crops, stack.enter_context(FlightDisplay(console))
+    return *sent, view, crops, stack.enter_context(FlightDisplay(console))
 
 
 async def assemble_and_inspect(

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import math
-import re
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -22,6 +20,7 @@ from dronemon.errors import DronemonError, OptionError, VehicleError
 from dronemon.flight_options import (
     DEFAULT_MISSION,
     AsJson,
+    CotUrl,
     FollowUrl,
     HistoryLength,
     HorizonAu,
@@ -29,6 +28,7 @@ from dronemon.flight_options import (
     MissionArgument,
     NamedMission,
     PlannerKind,
+    Redact,
     Resume,
     RunFolder,
     Seed,
@@ -36,8 +36,16 @@ from dronemon.flight_options import (
     SpeedUp,
     Unasked,
     VehicleUrl,
+    confirmed_settings,
 )
-from dronemon.terminal import console, facts_table, forgive_outputs, print_error, print_warning
+from dronemon.terminal import (
+    console,
+    facts_table,
+    forgive_outputs,
+    print_error,
+    print_facts,
+    print_warning,
+)
 
 if TYPE_CHECKING:
     from dronemon.mission import MissionFile
@@ -116,16 +124,20 @@ def fly_command(
     resume: Resume = None,
     settings: Settings = None,
     yes: Unasked = False,
+    cot: CotUrl = None,
+    redact: Redact = None,
 ) -> None:
     """Fly a mission: take off, patrol, come home, land. Ctrl-C returns; twice lands now."""
     checked = _resumed(context) if resume else _checked(context)
-    confirmed = _confirmed(settings or (), yes)
+    confirmed = confirmed_settings(settings or (), yes)
     import asyncio
 
     from dronemon.assembly import Request, assemble_and_fly
     from dronemon.runner.summary import facts, figures
 
-    request = Request(follow=follow, settings=confirmed, out=out, resume=resume)
+    request = Request(
+        follow=follow, settings=confirmed, out=out, resume=resume, cot=cot, redact_m=redact
+    )
     result, summary = asyncio.run(assemble_and_fly(checked, request))
     console.print(facts_table(checked.mission.name, facts(summary)))
     if told := figures(summary.as_json()):
@@ -157,7 +169,7 @@ def preflight_command(
 ) -> None:
     """Ask the vehicle all that is asked before a take-off, and say go or no-go."""
     checked = _checked(context)
-    confirmed = _confirmed(settings or (), yes)
+    confirmed = confirmed_settings(settings or (), yes)
     import asyncio
 
     from dronemon.assembly import Request, assemble_and_inspect
@@ -206,7 +218,7 @@ def check(
     from dronemon.feasibility import flight_facts
 
     checked = _checked(context)
-    _show(f"{checked.path}: can be flown", flight_facts(checked.mission), as_json)
+    print_facts(f"{checked.path}: can be flown", flight_facts(checked.mission), as_json)
 
 
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
@@ -221,7 +233,7 @@ def status_command(run: RunArgument, as_json: AsJson = False) -> None:
 
     folder = RunFolder.open(run)
     mission = load_mission(run / MISSION_FILE).mission
-    _show(f"{run}: {mission.name}", status(folder, mission), as_json)
+    print_facts(f"{run}: {mission.name}", status(folder, mission), as_json)
 
 
 @app.command("resume")
@@ -232,13 +244,6 @@ def resume_command(run: RunArgument) -> None:
 
     ask_to_go_on(RunFolder.open(run))
     console.print("it goes on")
-
-
-def _show(title: str, facts: dict[str, str], as_json: bool) -> None:
-    if as_json:
-        sys.stdout.write(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
-    else:
-        console.print(facts_table(title, facts))
 
 
 def _resumed(context: typer.Context) -> MissionFile:
@@ -272,29 +277,6 @@ def _checked(context: typer.Context, mission: str | None = None) -> MissionFile:
     for doubt in doubts(checked.mission, given["follow"]):
         print_warning(f"planner {checked.mission.planner.kind}: {doubt}")
     return checked
-
-
-def _confirmed(texts: Iterable[str], is_unasked: bool) -> dict[str, float]:
-    """Parameters to set, by name, each confirmed by a person."""
-    from dronemon.mission.scalars import number
-
-    settings: dict[str, float] = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            settings[name] = number(value)
-        except ValueError:
-            settings[name] = math.nan
-        if not re.fullmatch("[A-Z][A-Z0-9_]{0,15}", name) or not math.isfinite(settings[name]):
-            example = "NAME=VALUE with a plain number, such as COM_OBL_RC_ACT=3"
-            raise OptionError(f"--set {text}: give {example}")
-        if is_unasked:
-            continue
-        if not sys.stdin.isatty():
-            raise OptionError(f"--set {text}: there is nobody to ask; add --yes")
-        if not typer.confirm(f"Set {text} on the vehicle, and put it back afterwards?"):
-            raise OptionError(f"--set {text}: not confirmed; nothing was done")
-    return settings
 
 
 @app.command()

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+import re
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from dronemon.errors import OptionError
 
 DEFAULT_MISSION = "animals"
 
@@ -61,3 +67,41 @@ Settings = Annotated[
 ]
 Unasked = Annotated[bool, typer.Option("--yes", help="Set parameters without asking.")]
 AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")]
+CotUrl = Annotated[
+    str | None,
+    typer.Option(
+        "--cot", metavar="udp://HOST:PORT", help="Send sightings there as Cursor-on-Target events."
+    ),
+]
+Redact = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        metavar="METRES",
+        help="To how many metres --cot says where; 0: exactly.",
+        show_default="1000",
+    ),
+]
+
+
+def confirmed_settings(texts: Iterable[str], is_unasked: bool) -> dict[str, float]:
+    """Parameters to set, by name, each confirmed by a person. Raises OptionError."""
+    from dronemon.mission.scalars import number  # slow, and not needed for help
+
+    settings: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            settings[name] = number(value)
+        except ValueError:
+            settings[name] = math.nan
+        if not re.fullmatch("[A-Z][A-Z0-9_]{0,15}", name) or not math.isfinite(settings[name]):
+            example = "NAME=VALUE with a plain number, such as COM_OBL_RC_ACT=3"
+            raise OptionError(f"--set {text}: give {example}")
+        if is_unasked:
+            continue
+        if not sys.stdin.isatty():
+            raise OptionError(f"--set {text}: there is nobody to ask; add --yes")
+        if not typer.confirm(f"Set {text} on the vehicle, and put it back afterwards?"):
+            raise OptionError(f"--set {text}: not confirmed; nothing was done")
+    return settings

@@ -13,6 +13,7 @@ its origin at the top left corner of the picture; the picture's top points to th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,7 +101,7 @@ def geo_to_ned(point: GeoPoint, origin: GeoPoint) -> FloatArray:
     return np.array([north, east, down], dtype=np.float64)
 
 
-def ned_to_geo(position_ned_m: FloatArray, origin: GeoPoint) -> GeoPoint:
+def ned_to_geo(position_ned_m: Sequence[float] | FloatArray, origin: GeoPoint) -> GeoPoint:
     """Geographic point of local coordinates. position_ned_m: (3,) m."""
     latitude, longitude, altitude = pymap3d.ned2geodetic(
         *(float(v) for v in position_ned_m),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import sys
 import threading
 from collections.abc import Iterable, Mapping
@@ -178,6 +179,14 @@ def facts_table(title: str, facts: Mapping[str, str]) -> Table:
     for name, value in facts.items():
         table.add_row(Text(name), Text(value))
     return table
+
+
+def print_facts(title: str, facts: Mapping[str, str], as_json: bool) -> None:
+    """Named facts as a table for people, or without the title for scripts."""
+    if as_json:
+        sys.stdout.write(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
+    else:
+        console.print(facts_table(title, facts))
 
 
 def print_error(message: str) -> None:

@@ -128,28 +128,32 @@ def _utc(stamp: str) -> datetime:
     return datetime.fromisoformat(stamp).astimezone(UTC)
 
 
+def coarse(place: GeoPoint, cell_m: float) -> GeoPoint:
+    """The centre of the cell of this side in which a place is, without its height."""
+    row_deg = cell_m / _EARTH_DEGREE_M
+    latitude_deg = (math.floor(place.latitude_deg / row_deg) + 0.5) * row_deg
+    # By the row's middle, so that all of a row have the same columns.
+    shrunk = max(math.cos(math.radians(latitude_deg)), 1e-6)
+    column_deg = min(row_deg / shrunk, 360.0)
+    longitude_deg = (math.floor(place.longitude_deg / column_deg) + 0.5) * column_deg
+    return GeoPoint(
+        latitude_deg=max(-90.0, min(90.0, latitude_deg)),
+        longitude_deg=max(-180.0, min(180.0, longitude_deg)),
+    )
+
+
+def coarse_sighting(sighting: Sighting, cell_m: float) -> Sighting:
+    """The same, somewhere in a cell of this side, and without its picture."""
+    away_m = cell_m / math.sqrt(2.0)  # from the cell's centre to its corner
+    place, error_m = coarse(sighting.place, cell_m), away_m + sighting.error_m
+    return replace(sighting, place=place, error_m=error_m, crop=None)
+
+
 def redacted(story: Story, cell_m: float) -> Story:
-    """The same story, coarse: places are centres of cells of this side, and no picture is kept.
-
-    What keeps endangered animals from those who would hunt them.
-    """
-
-    def coarse(place: GeoPoint) -> GeoPoint:
-        row_deg = cell_m / _EARTH_DEGREE_M
-        latitude_deg = (math.floor(place.latitude_deg / row_deg) + 0.5) * row_deg
-        # By the row's middle, so that all of a row have the same columns.
-        shrunk = max(math.cos(math.radians(latitude_deg)), 1e-6)
-        column_deg = min(row_deg / shrunk, 360.0)
-        longitude_deg = (math.floor(place.longitude_deg / column_deg) + 0.5) * column_deg
-        return GeoPoint(
-            latitude_deg=max(-90.0, min(90.0, latitude_deg)),
-            longitude_deg=max(-180.0, min(180.0, longitude_deg)),
-        )
-
-    away_m = cell_m / math.sqrt(2.0)  # from a cell's centre to its corner
+    """The same story, coarse: what keeps endangered animals from those who would hunt them."""
     track: list[Fix] = []
     for fix in story.track:
-        place = coarse(fix.place)
+        place = coarse(fix.place, cell_m)
         if not track or place != track[-1].place:
             track.append(replace(fix, place=place))
     return replace(
@@ -157,8 +161,5 @@ def redacted(story: Story, cell_m: float) -> Story:
         corners=(),
         home=None,
         track=tuple(track),
-        sightings=tuple(
-            replace(s, place=coarse(s.place), error_m=away_m + s.error_m, crop=None)
-            for s in story.sightings
-        ),
+        sightings=tuple(coarse_sighting(sighting, cell_m) for sighting in story.sightings),
     )

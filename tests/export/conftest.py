@@ -1,62 +1,12 @@
-"""A small flight in memory, its record and the pictures of what it saw."""
+"""One small flight for all."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 import virtual_time
-from fake_link import FakeCamera, FakeLink
-
-from dronemon.camera import CropKeeper
-from dronemon.mission import load_mission
-from dronemon.planner.lawnmower import Lawnmower
-from dronemon.recorder import RunRecorder
-from dronemon.runner import FlightSetup, Interrupts, fly_mission
-from dronemon.runner.summary import summarise
-from dronemon.types import Detection
-
-MISSION = """
-name: Reserve & <north>
-area: {side_m: 100, heading_deg: 30}
-flight: {altitude_m: 22, cruise_speed_m_s: 5, horizon_au: 1, start_au: [0.5, 0.4]}
-targets:
-  - {name: "Bella <1>", appearance: cow, prior_au: [0.4, 0.6]}
-  - {name: Zürä, appearance: zebra}
-"""
-
-
-class Below:
-    """Sees the cow below itself in every picture."""
-
-    def detect(self, *_: object) -> tuple[Detection, ...]:
-        return (Detection(appearance="cow", pixel_px=(320.0, 240.0), score=0.9),)
-
-
-async def fly(folder: Path) -> None:
-    (folder / "m.yaml").write_text(MISSION)
-    file = load_mission(folder / "m.yaml")
-    with RunRecorder.create(file.mission, out=folder / "run") as recorder:
-        async with FakeLink() as link:
-            with CropKeeper(recorder.folder.path, file.mission) as crops:
-                result = await fly_mission(
-                    FlightSetup(
-                        file=file,
-                        link=link,
-                        camera=FakeCamera(link, 640, 480),
-                        detector=Below(),
-                        planner=Lawnmower(),
-                        priors_au=np.array([[0.4, 0.6], [np.nan, np.nan]]),
-                        record=recorder,
-                        watchers=(crops,),
-                        interrupts=Interrupts(),
-                    )
-                )
-        place_of = recorder.ground_place
-        summary = summarise(result, truth=(), mission=file.mission, place_of=place_of)
-        recorder.finish(result.outcome, summary.as_json())
-    assert crops.dropped == 0
+from small_flight import fly
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import socket
 import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,13 +23,18 @@ import pytest
 from fake_link import ORIGIN
 from fastkml.validator import validate
 from geojson_pydantic import FeatureCollection
+from small_flight import MISSION
 
 from dronemon import cli
 from dronemon.errors import DronemonError, OptionError, RecordError
+from dronemon.events import AreaLaid, Measured, Stretch
 from dronemon.export.formats import FORMATS, geojson, gpx, kml, write_all
+from dronemon.export.live import CotSender
 from dronemon.export.story import Fix, Sighting, Story, read_story, redacted
-from dronemon.frames import GeoPoint
+from dronemon.frames import AreaFrame, GeoPoint, ned_to_geo
+from dronemon.mission import load_mission
 from dronemon.recorder import RunFolder
+from dronemon.types import Measurement, Pose
 
 PLACES = {
     "north-east": (47.4, 8.5),
@@ -214,3 +220,93 @@ def test_what_cannot_be_exported_says_what_to_do(flown: Path, tmp_path: Path) ->
     (spoilt / "events.jsonl").write_text("".join(e.replace('"origin"', '"o"') for e in events))
     with pytest.raises(DronemonError, match="not those of this version"):
         export(spoilt, "--to", tmp_path / "b")
+
+
+class Receiver:
+    """Hears datagrams on loopback."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(5.0)
+        self.url = f"udp://127.0.0.1:{self._socket.getsockname()[1]}"
+
+    def __enter__(self) -> Receiver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def next(self) -> ElementTree.Element:
+        return ElementTree.fromstring(self._socket.recv(65536))
+
+
+@pytest.mark.parametrize("cell_m", [0.0, 1000.0])
+def test_sightings_are_sent_while_it_flies(tmp_path: Path, cell_m: float) -> None:
+    (tmp_path / "m.yaml").write_text(MISSION)
+    mission = load_mission(tmp_path / "m.yaml").mission
+    laid, measured = laid_and_measured()
+    with Receiver() as receiver, CotSender(receiver.url, mission, cell_m) as sender:
+        sender.take(measured)  # nobody knows where
+        sender.take(laid)
+        sender.take(measured)
+        event = receiver.next()
+        assert sender.dropped == 0
+    point = event.find("point")
+    assert point is not None
+    place = ned_to_geo((*laid.area.au_to_ned(np.array([0.3, 0.55])), 0.0), laid.origin)
+    off_m = away_m(float(point.get("lon", "")), float(point.get("lat", "")), place)
+    assert off_m <= float(point.get("ce", ""))
+    assert (off_m < 0.02) == (cell_m == 0.0)
+    assert event.get("uid") == "dronemon.Reserve & <north>.Bella <1>"
+
+
+def laid_and_measured() -> tuple[AreaLaid, Measured]:
+    area = AreaFrame(
+        centre_ned_m=(10.0, 20.0),
+        ground_down_m=0.0,
+        side_m=100.0,
+        heading_rad=0.5,
+        cruise_speed_m_s=5.0,
+    )
+    laid = AreaLaid(
+        area=area,
+        origin=ORIGIN,
+        footprint_radius_m=10.0,
+        fence_ned_m=np.zeros((4, 2)),
+        nodes_au=np.zeros((2, 2)),
+        edges=np.array([[0, 1]]),
+    )
+    at_rest = (0.0, 0.0, 0.0)
+    measured = Measured(
+        time_s=4.0,
+        measurement=Measurement(
+            time_au=0.1,
+            agent_au=np.array([0.3, 0.5]),
+            seen=np.array([True, False]),
+            target_au=np.array([[0.3, 0.55], [np.nan, np.nan]]),
+        ),
+        score=np.array([0.9, np.nan]),
+        pose=Pose(
+            time_s=4.0, position_ned_m=at_rest, velocity_ned_m_s=at_rest, attitude_rad=at_rest
+        ),
+        error_m=1.5,
+        stretch=Stretch(
+            pictured_m=0.0,
+            flown_m=0.0,
+            duration_s=0.0,
+            pictures_due=1,
+            speeds_m_s=(),
+            cross_track_m=(),
+        ),
+    )
+    return laid, measured
+
+
+@pytest.mark.parametrize(
+    "url", ["udp://127.0.0.1", "tcp://127.0.0.1:1", "127.0.0.1:1", "udp://:9", "udp://a:b"]
+)
+def test_where_to_send_is_checked(url: str, tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(MISSION)
+    with pytest.raises(OptionError, match="give udp://HOST:PORT"):
+        CotSender(url, load_mission(tmp_path / "m.yaml").mission)
