@@ -345,6 +345,10 @@ _ELSEWHERE = {
         "dronemon.explain.command",
         "Show why a decision of a flight was made: whom, when and where the network looked at.",
     ),
+    "replay": (
+        "dronemon.explain.otherwise",
+        "Ask another planner at each decision of a flight, on the same sightings.",
+    ),
     "evaluate": (
         "dronemon.evaluation.command",
         "Measure planners on simulated instances, and compare them with the paper's figures.",

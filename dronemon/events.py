@@ -153,6 +153,7 @@ class Decided(Event):
     position_au: (2,) au where the leg to the waypoint begins
     waypoint_au: (2,) au the waypoint
     node:        roadmap node of the waypoint, None if it is none
+    num_measurements: that were known
     """
 
     time_s: float
@@ -160,6 +161,7 @@ class Decided(Event):
     position_au: FloatArray
     waypoint_au: FloatArray
     node: int | None
+    num_measurements: int
     decision_ms: float
     details: Mapping[str, object]
 

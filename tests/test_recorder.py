@@ -75,6 +75,7 @@ DECIDED = Decided(
     position_au=np.array([0.25, 0.5]),
     waypoint_au=np.array([0.4, 0.6]),
     node=17,
+    num_measurements=1,
     decision_ms=3.5,
     details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
 )

@@ -126,7 +126,7 @@ def _decisions(folder: RunFolder) -> Iterator[_Decision]:
             node=node,
             chosen=line["node"],
             logits=np.array(details["logits"]),
-            num_measurements=details["num_measurements"],
+            num_measurements=line["num_measurements"],
             num_decisions=details["num_decisions"],
         )
         node = line["node"]

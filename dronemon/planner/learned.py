@@ -75,8 +75,7 @@ class LearnedPlanner:
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """The neighbour with the greatest logit; details hold all logits and the value.
 
-        And what it takes to decide so again: how many measurements were known, and how many
-        decisions were made since `reset`, this one counted.
+        And how many decisions were made since `reset`, this one counted.
         """
         node, seen = self._look(snapshot)
         return self._choose(node, self._memory.decide(*seen))
@@ -108,7 +107,6 @@ class LearnedPlanner:
                 "neighbours": neighbours[allowed].tolist(),
                 "logits": logits[allowed].tolist(),
                 "value": float(verdict.value[0, 0]),
-                "num_measurements": self._num_read,
                 "num_decisions": self._memory.num_decisions,
             },
         )

@@ -316,6 +316,7 @@ class Patrol:
             priors_au = self._setup.priors_au
             self._events.note("patrol", "the patrol begins", start_s=now_s, priors_au=priors_au)
         snapshot = self._snapshot(self.tally, now_s)
+        num_measurements = len(snapshot.sightings)
         began = time.perf_counter()
         waypoint = await in_daemon_thread(
             partial(self._decide, snapshot), f"planner '{self._setup.planner.name}'", PlannerError
@@ -329,6 +330,7 @@ class Patrol:
                 position_au=self._waypoint_au,
                 waypoint_au=waypoint_au,
                 node=waypoint.node,
+                num_measurements=num_measurements,
                 decision_ms=decision_ms,
                 details=waypoint.details,
             )

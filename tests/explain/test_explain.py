@@ -136,7 +136,7 @@ def test_a_decision_comes_out_as_it_was_flown(flown: Path) -> None:
         assert again.logit_error < 1e-6
         assert own.nodes[1 + own.pointer.argmax()] == again.chosen == decision["node"]
         assert own.nodes[1:].tolist() == decision["details"]["neighbours"]
-        assert len(again.path_au) == decision["details"]["num_measurements"]
+        assert len(again.path_au) == decision["num_measurements"]
         remembered = number if number <= first else number - first
         assert len(own.ages_au) == min((remembered + 1) // 2, 4)  # stride 2, history 8
 

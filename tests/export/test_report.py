@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 from html.parser import HTMLParser
@@ -121,3 +122,39 @@ def test_runs_are_compared(flown: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert table["Unc"] == ["-", "0.250"]
     assert table["pictures"] == ["10", "-"]
     assert table["longest out of sight"] == ["20 s", "20 s"]
+
+
+def test_another_planner_is_asked_at_each_decision(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def replay(planner: str, to: Path) -> list[dict[str, str]]:
+        with pytest.raises(SystemExit):
+            cli.app(
+                ["replay", str(flown), "--planner", planner, "--to", str(to)],
+                standalone_mode=False,
+            )
+        assert (to / "replay.png").read_bytes().startswith(b"\x89PNG")
+        return list(csv.DictReader((to / "replay.csv").read_text().splitlines()))
+
+    decisions = list(RunFolder.open(flown).decisions())
+    own = replay("lawnmower", tmp_path / "own")
+    assert "the same waypoint" in capsys.readouterr().out
+    for row, decision in zip(own, decisions, strict=True):
+        for what, key in (
+            ("flown", "waypoint_au"),
+            ("otherwise", "waypoint_au"),
+            ("place", "position_au"),
+        ):
+            told = float(row[f"{what}_x_au"]), float(row[f"{what}_y_au"])
+            assert told == pytest.approx(decision[key], abs=1e-9)
+    other = replay("search", tmp_path / "other")
+    assert any(a["otherwise_x_au"] != b["otherwise_x_au"] for a, b in zip(own, other, strict=True))
+
+
+def test_what_cannot_be_replayed_says_so(flown: Path, tmp_path: Path) -> None:
+    for planner, words in (("none such", "none such"), ("clairvoyant", "told the future")):
+        with pytest.raises(OptionError, match=words):
+            cli.app(
+                ["replay", str(flown), "--planner", planner, "--to", str(tmp_path)],
+                standalone_mode=False,
+            )

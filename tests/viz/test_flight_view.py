@@ -138,6 +138,7 @@ def decided(time_s: float) -> Decided:
         position_au=np.array([0.5, 0.5]),
         waypoint_au=np.array([0.9, 0.1]),
         node=None,
+        num_measurements=1,
         decision_ms=4.0,
         details={},
     )
