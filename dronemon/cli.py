@@ -340,6 +340,10 @@ _ELSEWHERE = {
         "dronemon.report.command",
         "Make a page of a flight for people: one HTML file without a network, and a map.",
     ),
+    "picture": (
+        "dronemon.report.picture",
+        "Draw a flight at one moment, as the paper's Figure 1: beliefs, way, truth, distances.",
+    ),
     "compare": ("dronemon.report.compare", "Show several flights side by side."),
     "explain": (
         "dronemon.explain.command",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -111,11 +112,25 @@ def read_flight(folder: RunFolder) -> Flight:
             decisions=np.array(
                 [(d["time_au"] * seconds, d["decision_ms"]) for d in folder.decisions()]
             ).reshape(-1, 2),
-            mean=_mean_on_grid(belief),
+            mean=_on_grid(belief)[0],
             unseen_for_s=_unseen_for_au(agent_au, times_au) * seconds,
             watched=[watch(sightings, number, seconds, place_of) for number in range(len(names))],
             events=events,
         )
+
+
+def beliefs_at(folder: RunFolder, mission: Mission, count: int) -> tuple[FloatArray, FloatArray]:
+    """The beliefs when so many pictures had been looked at. -> (N, G, G) mean and std, rows are y
+
+    Raises RecordError.
+    """
+    with understanding(folder):
+        names = [target.name for target in mission.targets]
+        began = next(event for event in folder.events() if "priors_au" in event)
+        sightings = Sightings(np.array(began["priors_au"], dtype=np.float64))
+        for line in itertools.islice(folder.observations(), count):
+            sightings.add(measurement_of(line, names))
+    return _on_grid(make_belief(mission, sightings))
 
 
 def _numbers(lines: Sequence[Mapping[str, Any]], key: str) -> FloatArray:
@@ -131,12 +146,15 @@ def _std_where_seen(belief: Belief) -> FloatArray:
     return at_last
 
 
-def _mean_on_grid(belief: Belief) -> FloatArray:
-    """(N, G, G) expected presence now; rows are y."""
+def _on_grid(belief: Belief) -> tuple[FloatArray, FloatArray]:
+    """(N, G, G) expected presence and its standard deviation now; rows are y."""
     grid_au = ARENA.grid(GRID_SIZE)
     time_au = np.full((len(grid_au), 1), belief.sightings.time_au)
-    mean, _ = belief.posterior(np.concatenate([grid_au, time_au], axis=-1))
-    return mean.reshape(-1, GRID_SIZE, GRID_SIZE).swapaxes(1, 2)
+    mean, std = (
+        values.reshape(-1, GRID_SIZE, GRID_SIZE).swapaxes(1, 2)
+        for values in belief.posterior(np.concatenate([grid_au, time_au], axis=-1))
+    )
+    return mean, std
 
 
 def _unseen_for_au(agent_au: FloatArray, times_au: FloatArray) -> FloatArray:

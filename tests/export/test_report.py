@@ -124,6 +124,26 @@ def test_runs_are_compared(flown: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert table["longest out of sight"] == ["20 s", "20 s"]
 
 
+@pytest.mark.parametrize("has_truth", [False, True])
+def test_a_moment_is_drawn(flown: Path, tmp_path: Path, has_truth: bool) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(flown, run)
+    if has_truth:
+        seen = RunFolder.open(run).observations()
+        told = [{"time_s": o["time_s"], "targets_au": [[0.3, 0.3], [0.8, 0.8]]} for o in seen]
+        (run / "truth.jsonl").write_text("".join(json.dumps(t) + "\n" for t in told))
+    for name, options in (("a.png", ()), ("b.svg", ("--at", "0.5"))):
+        words = ["picture", str(run), "--to", str(tmp_path / name), *options]
+        with pytest.raises(SystemExit) as ended:
+            cli.app(words, standalone_mode=False)
+        assert ended.value.code == 0
+        assert (tmp_path / name).stat().st_size > 10_000
+    for options, message in ((("--at", "5"), "last picture"), (("--to", "x.doc"), "written")):
+        words = ["picture", str(run), "--to", str(tmp_path / "c.png"), *options]
+        with pytest.raises(OptionError, match=message):
+            cli.app(words, standalone_mode=False)
+
+
 def test_another_planner_is_asked_at_each_decision(
     flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

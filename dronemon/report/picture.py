@@ -1,0 +1,143 @@
+"""`dronemon picture`: a flight at one moment, as Figure 1 of the paper shows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from dronemon.arena import ARENA
+from dronemon.errors import OptionError
+from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.recorder import RunFolder
+from dronemon.report.figures import color
+from dronemon.report.flight import Flight, beliefs_at, read_flight
+from dronemon.simulator import read_truth
+from dronemon.terminal import console
+from dronemon.types import FloatArray
+
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
+ToOption = Annotated[
+    Path, typer.Option("--to", help="The picture: PNG, SVG or PDF.", show_default=False)
+]
+AtOption = Annotated[
+    float | None, typer.Option(min=0.0, help="When, in au of patrol.", show_default="the end")
+]
+_TRAIL = 40
+"""Pictures' places that the way flown fades over."""
+
+
+def picture_command(run: RunArgument, to: ToOption, at: AtOption = None) -> None:
+    """Draw beliefs, way flown, truth and distances at one moment of a flight."""
+    folder = RunFolder.open(run)
+    flight = read_flight(folder)
+    times_au = flight.times_s / flight.mission.seconds_per_au
+    if at is not None and at > times_au[-1]:
+        raise OptionError(f"--at {at:g}: the last picture is of {times_au[-1]:.1f} au")
+    count = len(times_au) if at is None else max(1, int(np.searchsorted(times_au, at, "right")))
+    truth_au = _truth_au(folder)
+    try:
+        to.parent.mkdir(parents=True, exist_ok=True)
+        draw(folder, flight, count, truth_au).savefig(to, dpi=150)
+    except (OSError, ValueError) as exc:
+        raise OptionError(f"--to {to}: cannot be written: {exc}") from exc
+    console.print(to, soft_wrap=True, markup=False, highlight=False)
+
+
+def _truth_au(folder: RunFolder) -> FloatArray | None:
+    """(T, N, 2) where the targets truly were, None where no simulator told."""
+    told = {round(t.time_s, 6): t.targets_au for t in read_truth(folder.path)}
+    times_s = [round(line["time_s"], 6) for line in folder.observations()]
+    if not all(time_s in told for time_s in times_s):
+        return None
+    return np.array([told[time_s] for time_s in times_s])
+
+
+def draw(folder: RunFolder, flight: Flight, count: int, truth_au: FloatArray | None) -> Figure:
+    """The moment of the `count`-th picture. Source of the arrangement: paper, Figure 1."""
+    mean, std = beliefs_at(folder, flight.mission, count)
+    columns = max(3, len(flight.names))
+    figure = Figure(figsize=(2.6 * columns, 5.6), layout="constrained")
+    grid = figure.add_gridspec(2, 3 * columns)
+    for number, name in enumerate(flight.names):
+        panel = figure.add_subplot(grid[0, 3 * number : 3 * number + 3])
+        _show(panel, mean[number], f"belief of {name}")
+    together, truth, far = (
+        figure.add_subplot(grid[1, k * columns : (k + 1) * columns]) for k in range(3)
+    )
+    _show(together, 1.0 - std.min(axis=0), "all beliefs, and the way flown")
+    _draw_way(together, flight, count)
+    _frame(truth, "where the targets truly are" + (": not known" if truth_au is None else ""))
+    if truth_au is not None:
+        _draw_areas(truth, truth_au[count - 1])
+    _draw_distances(far, flight, count, flight.seen_au if truth_au is None else truth_au)
+    return figure
+
+
+def _draw_way(panel: Axes, flight: Flight, count: int) -> None:
+    """The way flown, the newest part brightest; the drone, what it sees, and whom."""
+    way_au = flight.agent_au[max(0, count - _TRAIL) : count]
+    legs = np.stack([way_au[:-1], way_au[1:]], axis=1)
+    ages = np.linspace(0.1, 1.0, len(legs))
+    trail = LineCollection(list(legs), colors="white", alpha=ages, linewidths=2.5 * ages)
+    panel.add_collection(trail)
+    panel.plot(*way_au[-1], "o", color="cyan", markersize=5)
+    _ring(panel, way_au[-1], color="gold")
+    for number in np.flatnonzero(flight.seen[count - 1]).tolist():
+        panel.plot(*flight.seen_au[count - 1, number], "s", color=color(number), markersize=7)
+
+
+def _draw_areas(panel: Axes, targets_au: FloatArray) -> None:
+    """The targets, and the areas over which Unc is taken."""
+    for number, target_au in enumerate(targets_au):
+        panel.plot(*target_au, "s", color=color(number), markersize=6)
+        _ring(panel, target_au, color=color(number), linestyle=":")
+
+
+def _draw_distances(panel: Axes, flight: Flight, count: int, places_au: FloatArray) -> None:
+    times_au = flight.times_s[:count] / flight.mission.seconds_per_au
+    for number, name in enumerate(flight.names):
+        far_au = np.hypot(*(places_au[:count, number] - flight.agent_au[:count]).T)
+        panel.plot(times_au, far_au, ".-", color=color(number), linewidth=1.0, ms=2.0, label=name)
+    panel.axhline(SENSOR_RADIUS_AU, color="gold", linewidth=1.0)
+    panel.set_title("distance to each target (au)", fontsize=9)
+    panel.set_xlabel("au of patrol", fontsize=8)
+    panel.tick_params(labelsize=7)
+    panel.set_ylim(0.0)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.legend(fontsize=7, frameon=False)
+
+
+def _ring(panel: Axes, centre_au: FloatArray, **style: Any) -> None:
+    x_au, y_au = centre_au.tolist()
+    panel.add_patch(Circle((x_au, y_au), SENSOR_RADIUS_AU, fill=False, **style))
+
+
+def _show(panel: Axes, values: FloatArray, title: str) -> None:
+    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
+    panel.imshow(
+        values,
+        extent=(left, right, bottom, top),
+        origin="lower",
+        cmap="viridis",
+        vmin=0.0,
+        vmax=1.0,
+        interpolation="bilinear",
+    )
+    _frame(panel, title)
+
+
+def _frame(panel: Axes, title: str) -> None:
+    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
+    panel.set_xlim(left, right)
+    panel.set_ylim(bottom, top)
+    panel.set_aspect("equal")
+    panel.set_xticks([])
+    panel.set_yticks([])
+    panel.set_title(title, fontsize=9)
