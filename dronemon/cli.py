@@ -349,6 +349,10 @@ _ELSEWHERE = {
         "dronemon.explain.command",
         "Show why a decision of a flight was made: whom, when and where the network looked at.",
     ),
+    "video": (
+        "dronemon.explain.video",
+        "Film whom and where the network looks at, decision by decision.",
+    ),
     "replay": (
         "dronemon.explain.otherwise",
         "Ask another planner at each decision of a flight, on the same sightings.",

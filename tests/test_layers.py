@@ -78,7 +78,7 @@ ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
 PLACES = {
     "mavsdk": {"vehicle"},
     "rerun": {"viz"},
-    "cv2": {"vision", "camera"},
+    "cv2": {"vision", "camera", "explain"},
     "pymavlink": {"vehicle"},
     "matplotlib": {"evaluation", "explain", "report"},
     "shapely": {"export"},

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 
@@ -71,9 +71,7 @@ def draw(replay: Replay, path: Path) -> None:
     own = replay.explanation
     figure = Figure(figsize=(13.0, 10.2), layout="constrained")
     maps, shares = figure.subfigures(2, 1, height_ratios=(6.6, 3.2), squeeze=False)[:, 0]
-    left, right = maps.subplots(1, 2)
-    _draw_places(left, replay)
-    _draw_ownership(right, replay)
+    draw_maps(maps, replay)
     here, names = own.nodes[0], replay.target_names
     heads = [f"head {head + 1}" for head in range(len(own.decoder))]
     numbers = [str(node) for node in own.nodes[1:]]
@@ -91,6 +89,13 @@ def draw(replay: Replay, path: Path) -> None:
     sentences = told.replace(". It looks", ".\nIt looks").splitlines()
     figure.suptitle("\n".join(fill(sentence, _LINE) for sentence in sentences), fontsize=10.5)
     figure.savefig(path, dpi=90)
+
+
+def draw_maps(figure: FigureBase, replay: Replay) -> None:
+    """Draw where the agent looks and what it weighs, and beside it whom every node looks at."""
+    left, right = figure.subplots(1, 2)
+    _draw_places(left, replay)
+    _draw_ownership(right, replay)
 
 
 def _draw_places(panel: Axes, replay: Replay) -> None:

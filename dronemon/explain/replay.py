@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -88,6 +89,28 @@ def replay(folder: RunFolder, number: int | None) -> Replay:
     Raises OptionError for a planner without attention or a decision that is not there; RecordError
     if the record is not whole, or another decision comes out than was flown.
     """
+    mission, record = _flown_with_weights(folder)
+    number = len(record.decisions) if number is None else number
+    if not 1 <= number <= len(record.decisions):
+        count = len(record.decisions)
+        raise OptionError(f"--decision {number}: {folder.path} has {count}, counted from 1")
+    *_, wanted = _decide_again(folder, mission, record, number)
+    return wanted
+
+
+def replay_all(folder: RunFolder) -> tuple[int, Iterator[Replay]]:
+    """Every decision of a run, in order, made again as each is asked for. -> how many, and they
+
+    Raises as `replay` does.
+    """
+    mission, record = _flown_with_weights(folder)
+    counts = [decision.num_decisions for decision in record.decisions]
+    ends = [i for i in range(1, len(counts) + 1) if i == len(counts) or counts[i] == 1]
+    chains = (_decide_again(folder, mission, record, number) for number in ends)
+    return len(counts), itertools.chain.from_iterable(chains)
+
+
+def _flown_with_weights(folder: RunFolder) -> tuple[Mission, _Record]:
     mission = load_mission(folder.path / MISSION_FILE).mission
     if not has_weights(mission.planner.kind):
         raise OptionError(
@@ -95,12 +118,7 @@ def replay(folder: RunFolder, number: int | None) -> Replay:
             " give a run of planner 'stamp'"
         )
     with understanding(folder):
-        record = _read(folder, mission)
-    number = len(record.decisions) if number is None else number
-    if not 1 <= number <= len(record.decisions):
-        count = len(record.decisions)
-        raise OptionError(f"--decision {number}: {folder.path} has {count}, counted from 1")
-    return _decide_again(folder, mission, record, number)
+        return mission, _read(folder, mission)
 
 
 def _read(folder: RunFolder, mission: Mission) -> _Record:
@@ -150,15 +168,18 @@ def _of_one_memory(folder: RunFolder, record: _Record, number: int) -> Sequence[
     return made
 
 
-def _decide_again(folder: RunFolder, mission: Mission, record: _Record, number: int) -> Replay:
-    made = _of_one_memory(folder, record, number)
+def _decide_again(
+    folder: RunFolder, mission: Mission, record: _Record, last: int
+) -> Iterator[Replay]:
+    """The decisions from where the planner began anew until the last one."""
+    made = _of_one_memory(folder, record, last)
     torch.set_num_threads(1)  # as in flight
     planner = make_planner(mission.planner)
     assert isinstance(planner, LearnedPlanner)  # it has weights
     start_au, roadmap = draw_start_and_roadmap(mission)
     planner.reset(brief(mission, record.priors_au, start_au, stream="planner"), roadmap)
     belief = make_belief(mission, Sightings(record.priors_au))
-    for decision in made:
+    for number, decision in enumerate(made, start=last - len(made) + 1):
         for measurement in record.measurements[len(belief.sightings) : decision.num_measurements]:
             belief.sightings.add(measurement)
         snapshot = Snapshot(
@@ -172,18 +193,18 @@ def _decide_again(folder: RunFolder, mission: Mission, record: _Record, number: 
             remaining_au=max(mission.horizon_au - decision.time_au, 0.0),
         )
         waypoint, explanation = planner.explain(snapshot)
-    return Replay(
-        number=number,
-        time_au=decision.time_au,
-        target_names=[target.name for target in mission.targets],
-        nodes_au=roadmap.nodes_au,
-        last_places_au=belief.sightings.last_places_au,
-        last_seen_au=belief.sightings.last_seen_au,
-        path_au=np.array([m.agent_au for m in belief.sightings.since(0)]).reshape(-1, 2),
-        chosen=decision.chosen,
-        logit_error=_logit_error(folder, decision, waypoint, number),
-        explanation=explanation,
-    )
+        yield Replay(
+            number=number,
+            time_au=decision.time_au,
+            target_names=[target.name for target in mission.targets],
+            nodes_au=roadmap.nodes_au,
+            last_places_au=belief.sightings.last_places_au,
+            last_seen_au=belief.sightings.last_seen_au,
+            path_au=np.array([m.agent_au for m in belief.sightings.since(0)]).reshape(-1, 2),
+            chosen=decision.chosen,
+            logit_error=_logit_error(folder, decision, waypoint, number),
+            explanation=explanation,
+        )
 
 
 def _logit_error(folder: RunFolder, decision: _Decision, waypoint: Waypoint, number: int) -> float:

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -268,3 +269,28 @@ def test_a_folder_that_is_no_run_has_its_exit_code(
         cli.main()
     assert caught.value.code == RecordError.exit_code
     assert "no run folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "film.gif"])
+def test_every_decision_is_filmed(
+    flown: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dronemon.explain.video._DPI", 20)
+    with pytest.raises(SystemExit) as ended:
+        cli.app(["video", str(flown), "--to", str(tmp_path / name)], standalone_mode=False)
+    assert ended.value.code == 0
+    film = cv2.VideoCapture(str(tmp_path / name))
+    frames = []
+    while (read := film.read())[0]:
+        frames.append(read[1])
+    film.release()
+    assert len(frames) == len(lines(flown, "decisions.jsonl"))
+    assert frames[0].std() > 5.0
+    assert np.abs(frames[0].astype(float) - frames[-1]).mean() > 1.0
+
+
+@pytest.mark.parametrize("name", ["film.avi", "there.gif"])
+def test_a_film_that_cannot_be_made_is_refused(flown: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / "there.gif").write_text("")
+    with pytest.raises(OptionError, match=r"--to .*(ends with|is there already)"):
+        cli.app(["video", str(flown), "--to", str(tmp_path / name)], standalone_mode=False)
