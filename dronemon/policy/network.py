@@ -65,15 +65,23 @@ class PolicyNetwork(nn.Module):
         self.track_encoder = TrackEncoder(config) if config.tracks else None
         self.decoder = Decoder(config)
 
-    def forward(self, segment: Segment, history: int) -> Verdict:
-        """All decisions of the episodes at once, each seeing the last `history` frames."""
-        length = segment.frames.shape[1]
+    def forward(self, segment: Segment, history: int, phase: int | None = None) -> Verdict:
+        """All decisions of the episodes at once, each seeing the last `history` frames.
+
+        phase: judge only every stride-th decision, from this one on, at a stride-th of the cost
+        """
         stride = self.config.stride_for(history)
-        windows = _to_phases(self.windows(segment.frames, stride), stride).transpose(2, 3)
-        known = _to_phases(segment.target_mask, stride)
-        encoded = self.target_encoder(segment.graphs.coordinates, windows, known)
-        flown = _to_phases(segment.flown, stride)[:, :, None]  # (B, P, 1, n)
-        marks = _to_phases(pool_windows(segment.flown, stride), stride)[:, :, None]
+        chosen = slice(phase, None, 1 if phase is None else stride)
+
+        def phased(values: Tensor) -> Tensor:
+            return _to_phases(values[:, chosen], stride if phase is None else 1)
+
+        windows = phased(self.windows(segment.frames, stride)).transpose(2, 3)
+        encoded = self.target_encoder(
+            segment.graphs.coordinates, windows, phased(segment.target_mask)
+        )
+        flown = phased(segment.flown)[:, :, None]  # (B, P, 1, n)
+        marks = phased(pool_windows(segment.flown, stride))[:, :, None]
         if isinstance(self.temporal, TemporalMemory):
             gaps = torch.diff(marks, prepend=marks[..., :1]).expand(encoded.shape[:-1])
             aware, _ = self.temporal(encoded, gaps)
@@ -82,10 +90,15 @@ class PolicyNetwork(nn.Module):
             aware = self.temporal(
                 encoded, self.temporal.project(encoded), flown, (marks, marks), mask
             )
-        nodes = aware.permute(0, 3, 1, 2, 4).flatten(1, 2)[:, :length]  # (B, L, V, d)
-        previous = torch.cat([segment.nodes[:, :1], segment.nodes[:, :-1]], dim=1)
+        previous = torch.cat([segment.nodes[:, :1], segment.nodes[:, :-1]], dim=1)[:, chosen]
+        nodes = aware.permute(0, 3, 1, 2, 4).flatten(1, 2)[:, : previous.shape[1]]  # (B, L, V, d)
         return self.decide(
-            nodes, segment.graphs, segment.nodes, previous, segment.tracks, segment.target_mask
+            nodes,
+            segment.graphs,
+            segment.nodes[:, chosen],
+            previous,
+            segment.tracks[:, chosen],
+            segment.target_mask[:, chosen],
         )
 
     def windows(self, frames: Tensor, stride: int, first: int = 0) -> Tensor:
