@@ -55,21 +55,21 @@ def num_windows(history: int, stride: int) -> int:
     return math.ceil(history / stride)
 
 
-def pool_windows(frames: Tensor, stride: int, first: int = 0) -> Tensor:
+def pool_windows(frames: Tensor, stride: int, first: int = 0, step: int = 1) -> Tensor:
     """Mean over the newest `stride` frames at each decision.
 
     # Differs from STAMP: at the start of an episode the mean is over the frames there are, not over
     copies of the first.
 
-    frames: (B, L, ...), from the start of an episode -> (B, L - first, ...), windows that end at
-    frames first, first + 1, ...
+    frames: (B, L, ...), from the start of an episode -> (B, n, ...), windows that end at frames
+    first, first + step, ... of L
     """
     length = frames.shape[1]
-    total = frames[:, first:].clone()
+    total = frames[:, first::step].clone()
     for back in range(1, min(stride, length)):
-        begin = max(first, back)
-        total[:, begin - first :] += frames[:, begin - back : length - back]
-    count = torch.arange(first + 1, length + 1, device=frames.device).clamp(max=stride)
+        skipped = max(0, -(-(back - first) // step))  # windows that begin later than that
+        total[:, skipped:] += frames[:, first + skipped * step - back : length - back : step]
+    count = torch.arange(first + 1, length + 1, step, device=frames.device).clamp(max=stride)
     return total / count.to(frames.dtype).view(1, -1, *[1] * (frames.dim() - 2))
 
 

@@ -65,15 +65,23 @@ class PolicyNetwork(nn.Module):
         self.track_encoder = TrackEncoder(config) if config.tracks else None
         self.decoder = Decoder(config)
 
-    def forward(self, segment: Segment, history: int) -> Verdict:
-        """All decisions of the episodes at once, each seeing the last `history` frames."""
-        length = segment.frames.shape[1]
+    def forward(self, segment: Segment, history: int, phase: int | None = None) -> Verdict:
+        """All decisions of the episodes at once, each seeing the last `history` frames.
+
+        phase: judge only every stride-th decision, from this one on, at a stride-th of the cost
+        """
         stride = self.config.stride_for(history)
-        windows = _to_phases(self.windows(segment.frames, stride), stride).transpose(2, 3)
-        known = _to_phases(segment.target_mask, stride)
-        encoded = self.target_encoder(segment.graphs.coordinates, windows, known)
-        flown = _to_phases(segment.flown, stride)[:, :, None]  # (B, P, 1, n)
-        marks = _to_phases(pool_windows(segment.flown, stride), stride)[:, :, None]
+        first, step, num_phases = (0, 1, stride) if phase is None else (phase, stride, 1)
+        chosen = slice(first, None, step)
+        windows = self.windows(segment.frames, stride, first, step)
+        known = _to_phases(segment.target_mask[:, chosen], num_phases)
+        encoded = self.target_encoder(
+            segment.graphs.coordinates, _to_phases(windows, num_phases).transpose(2, 3), known
+        )
+        # (B, P, 1, n)
+        flown = _to_phases(segment.flown[:, chosen], num_phases)[:, :, None]
+        marks = pool_windows(segment.flown, stride, first, step)
+        marks = _to_phases(marks, num_phases)[:, :, None]
         if isinstance(self.temporal, TemporalMemory):
             gaps = torch.diff(marks, prepend=marks[..., :1]).expand(encoded.shape[:-1])
             aware, _ = self.temporal(encoded, gaps)
@@ -82,24 +90,31 @@ class PolicyNetwork(nn.Module):
             aware = self.temporal(
                 encoded, self.temporal.project(encoded), flown, (marks, marks), mask
             )
-        nodes = aware.permute(0, 3, 1, 2, 4).flatten(1, 2)[:, :length]  # (B, L, V, d)
-        previous = torch.cat([segment.nodes[:, :1], segment.nodes[:, :-1]], dim=1)
+        previous = torch.cat([segment.nodes[:, :1], segment.nodes[:, :-1]], dim=1)[:, chosen]
+        nodes = aware.permute(0, 3, 1, 2, 4).flatten(1, 2)[:, : previous.shape[1]]  # (B, L, V, d)
         return self.decide(
-            nodes, segment.graphs, segment.nodes, previous, segment.tracks, segment.target_mask
+            nodes,
+            segment.graphs,
+            segment.nodes[:, chosen],
+            previous,
+            segment.tracks[:, chosen],
+            segment.target_mask[:, chosen],
         )
 
-    def windows(self, frames: Tensor, stride: int, first: int = 0) -> Tensor:
-        """What is seen at each decision from the `first` on, of order one.
+    def windows(self, frames: Tensor, stride: int, first: int = 0, step: int = 1) -> Tensor:
+        """What is seen at decisions first, first + step, ... of L, of order one.
 
-        frames: (B, L, V, N, 4) belief features -> (B, L - first, V, N, F)
+        frames: (B, L, V, N, 4) belief features -> (B, n, V, N, F)
         """
         # Differs from STAMP: a linear map follows, so the network can be the same as without this;
         # learning and bfloat16 are not.
-        scaled = (frames - frames.new_tensor(FEATURE_MEAN)) / frames.new_tensor(FEATURE_SPREAD)
-        shown = scaled if self.config.predictions else scaled[..., :2]
-        pooled = pool_windows(shown, stride, first)
-        # Differs from STAMP: optional. The mean alone shows what just changed a fifth as strong.
-        return torch.cat([pooled, shown[:, first:]], dim=-1) if self.config.newest else pooled
+        mean, spread = frames.new_tensor(FEATURE_MEAN), frames.new_tensor(FEATURE_SPREAD)
+        parts = [pool_windows(frames, stride, first, step)]
+        if self.config.newest:
+            # Differs from STAMP: optional. The mean shows what just changed a fifth as strong.
+            parts.append(frames[:, first::step])
+        size = 4 if self.config.predictions else 2
+        return torch.cat([((part - mean) / spread)[..., :size] for part in parts], dim=-1)
 
     def decide(
         self,

@@ -21,7 +21,7 @@ NUM_TRACK_VECTORS = 3
 _GAP_AU = 0.35
 """Sightings no further apart belong to one contact, in which a target is thought to go straight.
 
-A contact may last longer than that: a drone that stays near a target is shown a mean velocity.
+Of a contact that lasts longer the latest part counts.
 """
 _BASE_AU = 0.05
 """A contact this long gives a velocity."""
@@ -94,6 +94,11 @@ class Tracks:
         # A new contact tells only the mean velocity since the last one.
         drift = (targets_au - self._place_au) / since.clamp(min=_BASE_AU)[..., None]
         drift = torch.where(self._is_placed[..., None], drift, 0.0)
+        is_long = goes_on & (now_au - self._contact_at_au > _GAP_AU)
+        self._contact_place_au = torch.where(
+            is_long[..., None], self._place_au, self._contact_place_au
+        )
+        self._contact_at_au = torch.where(is_long, self._seen_at_au, self._contact_at_au)
         length = now_au - self._contact_at_au
         straight = (targets_au - self._contact_place_au) / length.clamp(min=_BASE_AU)[..., None]
         is_straight = goes_on & (length >= _BASE_AU)

@@ -81,6 +81,7 @@ class ExpertConfig:
     taught_shares:   of episodes that the teacher flies, each from a round on
     greedy_share:    of episodes in which the student flies as it would in a mission
     updates:         of the network each round
+    minibatch_episodes: in an update, which learns from every stride-th decision of each
     temperature:     of the soft targets, as a share of a decision's largest gain
     imitation_share: of the time budget, before PPO
     symmetries:      learn each episode in the eight ways of seeing the square
@@ -94,7 +95,7 @@ class ExpertConfig:
     greedy_share: Share = 0.5
     decisions: Annotated[int, Field(ge=2)] = 256
     updates: Count = 128
-    minibatch_episodes: Count = 2
+    minibatch_episodes: Count = 8
     learning_rate: Positive = 2e-3
     final_learning_rate: Positive = 2e-5
     warmup_updates: Count = 100
@@ -245,15 +246,18 @@ class Expert:
         segment = rollout.segment.select(episode).to(device)
         if config.symmetries:
             segment = segment.mirrored(torch.as_tensor(rng.integers(8, size=1)).to(device))
-        gains = lesson.gains[episode].to(device)
         history = int(rng.integers(config.history[0], config.history[1] + 1))
+        stride = self.network.config.stride_for(history)
+        phase = int(rng.integers(stride))  # neighbouring decisions teach much the same
         with in_precision(config.precision, device):
-            verdict = self.network(segment, history)
+            verdict = self.network(segment, history, phase)
+        gains = lesson.gains[episode, phase::stride].to(device)
         targets = (gains / (config.temperature * _largest(gains))).softmax(-1)
         log_chances = verdict.logits.log_softmax(-1).masked_fill(gains.isinf(), 0.0)
         loss = -(targets * log_chances).sum(-1).mean()
         returns = rollout_advantages(rollout, config.finish, 1.0) + rollout.values[:, :-1]
-        value_loss = (verdict.value - returns[episode].to(device)).square().mean()
+        returns = returns[episode, phase::stride].to(device)
+        value_loss = (verdict.value - returns).square().mean()
         torch.autograd.backward((loss + config.value_weight * value_loss) / count)
         return {
             "imitation_loss": loss.detach(),

@@ -312,6 +312,19 @@ def test_a_target_seen_for_the_first_time_joins_the_history() -> None:
         assert bool(verdict.logits.isfinite().any())
 
 
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("history", [3, 10])
+def test_a_phase_alone_is_judged_as_among_all_decisions(variant: str, history: int) -> None:
+    network = make_network(VARIANTS[variant])
+    segment = whole_episodes(*make_episodes([(12, 2), (9, 3)], 23, 4))
+    whole = network(segment, history)
+    stride = network.config.stride_for(history)
+    for phase in range(stride):
+        part = network(segment, history, phase)
+        torch.testing.assert_close(part.logits, whole.logits[:, phase::stride])
+        torch.testing.assert_close(part.value, whole.value[:, phase::stride])
+
+
 def test_later_decisions_do_not_change_earlier_ones() -> None:
     network = make_network(VARIANTS["ours"])
     graphs, frames, mask, lengths_au, nodes, tracks = make_episodes([(12, 2)], 23, 4)

@@ -51,6 +51,15 @@ def test_a_contact_gives_place_velocity_and_speed() -> None:
     assert shown[MISSED] == 0.0
 
 
+def test_a_long_contact_shows_the_way_it_goes_now() -> None:
+    tracks = Tracks(1, 1)
+    for step in range(20):  # east, then north
+        see(tracks, 0.1 * step, [(0.4 + 0.01 * min(step, 10), 0.5 + 0.01 * max(0, step - 10))])
+    shown = features(tracks, 1.9)[0]
+    torch.testing.assert_close(shown[VELOCITY], torch.tensor([0.0, 1.0]))
+    assert shown[IS_STRAIGHT] == 1.0
+
+
 def test_a_target_is_carried_on_only_for_a_while_and_within_the_square() -> None:
     tracks = Tracks(1, 2)
     for step in range(2):

@@ -65,12 +65,13 @@ def gradients(expert: Expert) -> list[Tensor]:
 def test_a_minibatch_is_the_mean_over_episodes_of_different_lessons(
     lessons: list[Lesson], tmp_path: Path
 ) -> None:
+    config = replace(CONFIG, history=(1, 1))  # one phase alone: nothing is drawn
     alone, losses = [], []
     for lesson in lessons:
-        expert = make_expert(tmp_path)
+        expert = make_expert(tmp_path, config)
         losses.append(expert._update([(lesson, 0)], np.random.default_rng(0))["imitation_loss"])
         alone.append(gradients(expert))
-    expert = make_expert(tmp_path)
+    expert = make_expert(tmp_path, config)
     metrics = expert._update([(lesson, 0) for lesson in lessons], np.random.default_rng(0))
     assert float(metrics["imitation_loss"]) == pytest.approx(float(sum(losses)) / 2.0)
     for both, first, second in zip(gradients(expert), *alone, strict=True):
