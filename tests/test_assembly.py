@@ -66,7 +66,7 @@ def test_a_person_need_not_wait_until_a_vehicle_is_heard(monkeypatch):
 
 @contextlib.contextmanager
 def fails_to_close(*_):
-    yield SimpleNamespace(url=None, take=lambda event: None)
+    yield SimpleNamespace(where=None, take=lambda event: None)
     raise OSError("it is gone")
 
 

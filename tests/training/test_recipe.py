@@ -85,5 +85,5 @@ def test_a_mistake_is_named_with_its_line(tmp_path: Path, text: str, complaint: 
 
 
 def test_a_missing_recipe_is_named_with_those_there_are() -> None:
-    with pytest.raises(OptionError, match="shipped are: expert, paper, stamp, table2"):
+    with pytest.raises(OptionError, match="shipped are: anywhere, expert, paper, stamp, table2"):
         load_recipe("stomp")
