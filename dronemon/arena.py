@@ -34,9 +34,10 @@ class Arena:
 
     @property
     def outline_au(self) -> FloatArray:
-        """Corners, as a walk around it. -> (4, 2) float64 au."""
+        """Its corners, as a walk around it that ends where it began. -> (5, 2) float64 au."""
         (left, bottom), (right, top) = self.low_au, self.high_au
-        return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
+        around = [(left, bottom), (right, bottom), (right, top), (left, top), (left, bottom)]
+        return np.array(around)
 
     @property
     def extent_au(self) -> FloatArray:

@@ -30,6 +30,7 @@ from dronemon.flight_options import (
     PlannerKind,
     Redact,
     Resume,
+    RunArgument,
     RunFolder,
     Seed,
     Settings,
@@ -219,9 +220,6 @@ def check(
 
     checked = _checked(context)
     print_facts(f"{checked.path}: can be flown", flight_facts(checked.mission), as_json)
-
-
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 
 
 @app.command("status")

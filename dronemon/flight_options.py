@@ -66,6 +66,7 @@ Settings = Annotated[
     ),
 ]
 Unasked = Annotated[bool, typer.Option("--yes", help="Set parameters without asking.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")]
 CotUrl = Annotated[
     str | None,

@@ -75,6 +75,10 @@ class AreaFrame:
         ) @ self._axes.T / self.side_m + 0.5
         return au
 
+    def au_to_geo(self, position_au: FloatArray, origin: GeoPoint) -> GeoPoint:
+        """A place on the area's ground on the globe. position_au: (2,); origin: of the frame."""
+        return ned_to_geo([*self.au_to_ned(position_au), self.ground_down_m], origin)
+
     def s_to_au(self, duration_s: float) -> float:
         """Mission time of a vehicle duration."""
         return duration_s * self.cruise_speed_m_s / self.side_m

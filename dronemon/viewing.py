@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from dronemon.errors import RecordError, ViewError
+from dronemon.flight_options import RunArgument
 from dronemon.mission.schema import View
 from dronemon.recorder import RunFolder
 from dronemon.terminal import console
 from dronemon.viz.page import find_viewer
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 _PORT = View().port
 PortOption = Annotated[int, typer.Option(min=1024, max=65535, help="Of the data, on 127.0.0.1.")]
 

@@ -15,21 +15,21 @@ from matplotlib.figure import Figure
 
 from dronemon.arena import ARENA
 from dronemon.errors import OptionError, PlannerError, RecordError, blaming
+from dronemon.explain.replay import snapshot_at
 from dronemon.feasibility import make_planner
+from dronemon.flight_options import RunArgument
 from dronemon.mission import Mission, load_mission
 from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Planner, Snapshot
 from dronemon.planner.motion import waypoint_flaw
 from dronemon.recorder import MISSION_FILE, RunFolder
-from dronemon.runner.history import measurement_of, understanding
+from dronemon.runner.history import recorded, understanding
 from dronemon.runner.preparation import brief, draw_start_and_roadmap, make_belief
-from dronemon.sightings import Sightings
 from dronemon.terminal import console, facts_table
 from dronemon.types import FloatArray
 
 SAME_AU = 1e-6
 """Waypoints nearer than this are one."""
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 PlannerOption = Annotated[
     str, typer.Option(help="Who decides again; see `dronemon planners`.", show_default=False)
 ]
@@ -92,49 +92,44 @@ def decide_otherwise(folder: RunFolder, mission: Mission, planner: Planner) -> C
     """Ask a planner at each decision of a run. Raises RecordError, PlannerError."""
     with understanding(folder):
         lines = list(folder.decisions())
-        names = [target.name for target in mission.targets]
-        measurements = [measurement_of(line, names) for line in folder.observations()]
+        sightings, measurements = recorded(folder, mission)
         if not lines:
             raise RecordError(f"{folder.path}: no decision was made in this run")
         if lines[-1]["num_measurements"] > len(measurements):
             raise RecordError(f"{folder.path}: not all pictures that it knew are recorded")
-        began = next(event for event in folder.events() if "priors_au" in event)
-        sightings = Sightings(np.array(began["priors_au"], dtype=np.float64))
     start_au, roadmap = draw_start_and_roadmap(mission)
     belief = make_belief(mission, sightings)
-    who = f"planner '{planner.name}'"
-    with blaming(who, PlannerError):
+    with blaming(f"planner '{planner.name}'", PlannerError):
         planner.reset(brief(mission, sightings.priors_au, start_au, stream="planner"), roadmap)
-    chosen, took_ms, node = [], [], 0
+    answers, node = [], 0
     for line in lines:
         for measurement in measurements[len(sightings) : line["num_measurements"]]:
             sightings.add(measurement)
-        snapshot = Snapshot(
-            time_au=line["time_au"],
-            flown_au=line["time_au"],
-            position_au=np.array(line["position_au"]),
-            node=node,
-            sightings=sightings,
-            belief=belief,
-            roadmap=roadmap,
-            remaining_au=max(mission.horizon_au - line["time_au"], 0.0),
-        )
-        began_s = time.perf_counter()
-        with blaming(who, PlannerError):
-            waypoint = planner.next_waypoint(snapshot)
-            took_ms.append(1e3 * (time.perf_counter() - began_s))
-            flaw = waypoint_flaw(waypoint, snapshot.position_au, ARENA)
-        if flaw:
-            raise PlannerError(f"{who} gave at {line['time_au']:.3f} au {flaw}")
-        chosen.append(waypoint.position_au)
+        position_au = np.array(line["position_au"])
+        snapshot = snapshot_at(line["time_au"], position_au, node, belief, roadmap, mission)
+        answers.append(_ask(planner, snapshot))
         node = line["node"]
+    waypoints_au, took_ms = zip(*answers, strict=True)
     return Choices(
         times_au=np.array([line["time_au"] for line in lines]),
         places_au=np.array([line["position_au"] for line in lines]),
         flown_au=np.array([line["waypoint_au"] for line in lines]),
-        otherwise_au=np.array(chosen),
+        otherwise_au=np.array(waypoints_au),
         decision_ms=np.array(took_ms),
     )
+
+
+def _ask(planner: Planner, snapshot: Snapshot) -> tuple[FloatArray, float]:
+    """The planner's waypoint in au, and the milliseconds that it took. Raises PlannerError."""
+    who = f"planner '{planner.name}'"
+    began_s = time.perf_counter()
+    with blaming(who, PlannerError):
+        waypoint = planner.next_waypoint(snapshot)
+        took_ms = 1e3 * (time.perf_counter() - began_s)
+        flaw = waypoint_flaw(waypoint, snapshot.position_au, ARENA)
+    if flaw:
+        raise PlannerError(f"{who} gave at {snapshot.time_au:.3f} au {flaw}")
+    return waypoint.position_au, took_ms
 
 
 def _facts(choices: Choices, mission: Mission) -> Mapping[str, str]:
@@ -178,8 +173,7 @@ def _draw(choices: Choices, mission: Mission, name: str) -> Figure:
     """Every leg flown, and beside it the leg that the other would have flown from there."""
     figure = Figure(figsize=(7.0, 7.4), layout="constrained")
     panel = figure.add_subplot()
-    outline = np.concatenate([ARENA.outline_au, ARENA.outline_au[:1]])
-    panel.plot(*outline.T, color="0.3", linewidth=1.0)
+    panel.plot(*ARENA.outline_au.T, color="0.3", linewidth=1.0)
     legs = zip(
         choices.places_au, choices.flown_au, choices.otherwise_au, choices.apart_au, strict=True
     )

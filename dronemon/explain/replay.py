@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from dronemon.belief import Belief
 from dronemon.errors import OptionError, RecordError
 from dronemon.feasibility import make_planner
 from dronemon.mission import Mission, load_mission
@@ -17,7 +18,8 @@ from dronemon.planner import Snapshot, Waypoint, has_weights
 from dronemon.planner.learned import LearnedPlanner
 from dronemon.policy import Explanation
 from dronemon.recorder import MISSION_FILE, RunFolder
-from dronemon.runner.history import measurement_of, understanding
+from dronemon.roadmap import Roadmap
+from dronemon.runner.history import recorded, understanding
 from dronemon.runner.preparation import brief, draw_start_and_roadmap, make_belief
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
@@ -122,16 +124,11 @@ def _flown_with_weights(folder: RunFolder) -> tuple[Mission, _Record]:
 
 
 def _read(folder: RunFolder, mission: Mission) -> _Record:
-    names = [target.name for target in mission.targets]
     decisions = list(_decisions(folder))
     if not decisions:
         raise RecordError(f"{folder.path}: no decision was made in this run")
-    begins = next(event for event in folder.events() if event["kind"] == "patrol")
-    return _Record(
-        priors_au=np.array(begins["priors_au"], dtype=np.float64),
-        decisions=decisions,
-        measurements=[measurement_of(line, names) for line in folder.observations()],
-    )
+    sightings, measurements = recorded(folder, mission)
+    return _Record(priors_au=sightings.priors_au, decisions=decisions, measurements=measurements)
 
 
 def _decisions(folder: RunFolder) -> Iterator[_Decision]:
@@ -182,16 +179,8 @@ def _decide_again(
     for number, decision in enumerate(made, start=last - len(made) + 1):
         for measurement in record.measurements[len(belief.sightings) : decision.num_measurements]:
             belief.sightings.add(measurement)
-        snapshot = Snapshot(
-            time_au=decision.time_au,
-            flown_au=decision.time_au,
-            position_au=decision.position_au,
-            node=decision.node,
-            sightings=belief.sightings,
-            belief=belief,
-            roadmap=roadmap,
-            remaining_au=max(mission.horizon_au - decision.time_au, 0.0),
-        )
+        time_au, position_au = decision.time_au, decision.position_au
+        snapshot = snapshot_at(time_au, position_au, decision.node, belief, roadmap, mission)
         waypoint, explanation = planner.explain(snapshot)
         yield Replay(
             number=number,
@@ -205,6 +194,27 @@ def _decide_again(
             logit_error=_logit_error(folder, decision, waypoint, number),
             explanation=explanation,
         )
+
+
+def snapshot_at(
+    time_au: float,
+    position_au: FloatArray,
+    node: int | None,
+    belief: Belief,
+    roadmap: Roadmap,
+    mission: Mission,
+) -> Snapshot:
+    """What a planner is shown where a recorded decision was made."""
+    return Snapshot(
+        time_au=time_au,
+        flown_au=time_au,
+        position_au=position_au,
+        node=node,
+        sightings=belief.sightings,
+        belief=belief,
+        roadmap=roadmap,
+        remaining_au=max(mission.horizon_au - time_au, 0.0),
+    )
 
 
 def _logit_error(folder: RunFolder, decision: _Decision, waypoint: Waypoint, number: int) -> float:

@@ -10,10 +10,10 @@ import typer
 from dronemon.errors import OptionError
 from dronemon.export.formats import FORMATS, write_all
 from dronemon.export.story import read_story, redacted
+from dronemon.flight_options import RunArgument
 from dronemon.recorder import RunFolder
 from dronemon.terminal import console
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 ToOption = Annotated[Path, typer.Option("--to", help="Folder for the files.", show_default=False)]
 RedactOption = Annotated[
     float | None,

@@ -42,7 +42,7 @@ def geojson(story: Story) -> bytes:
     """Area, track and sightings as one FeatureCollection."""
     features = []
     if story.corners:
-        area = shapely.Polygon(_unwound([*story.corners, story.corners[0]]))
+        area = shapely.Polygon(_unwound(story.corners))
         features.append(_feature(area, kind="area", name=story.name))
     if len(story.track) > 1:
         places = [fix.place for fix in story.track]
@@ -116,7 +116,7 @@ def kml(story: Story) -> bytes:
         ring: ElementTree.Element = area
         for tag in ("Polygon", "outerBoundaryIs", "LinearRing"):
             ring = ElementTree.SubElement(ring, f"{{{KML}}}{tag}")
-        _text(ring, f"{{{KML}}}coordinates", _kml_places([*story.corners, story.corners[0]]))
+        _text(ring, f"{{{KML}}}coordinates", _kml_places(story.corners))
     if story.track:
         placemark = _placemark(document, "Track")
         track = ElementTree.SubElement(placemark, f"{{{GX}}}Track")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import socket
 from datetime import UTC, datetime
+from typing import Any
 from urllib.parse import urlsplit
 from xml.etree import ElementTree
 
@@ -12,7 +13,6 @@ from dronemon.errors import OptionError
 from dronemon.events import AreaLaid, Event, Measured
 from dronemon.export.formats import cot_event
 from dronemon.export.story import Sighting, coarse_sighting
-from dronemon.frames import ned_to_geo
 from dronemon.mission import Mission
 
 DEFAULT_CELL_M = 1000.0
@@ -27,12 +27,11 @@ class CotSender:
 
     def __init__(self, url: str, mission: Mission, cell_m: float | None = None) -> None:
         """Raises OptionError for what is no such address."""
-        self._address = _address(url)
+        family, self._address = _resolved(url)
         self._mission = mission
         self._cell_m = DEFAULT_CELL_M if cell_m is None else cell_m
         self._laid: AreaLaid | None = None
         self.dropped = 0
-        family = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0][0]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
@@ -54,14 +53,13 @@ class CotSender:
 
     def _sighting(self, event: Measured, number: int, laid: AreaLaid) -> Sighting:
         target = self._mission.targets[number]
-        ground_ned_m = laid.area.au_to_ned(event.measurement.target_au[number])
         score = float(event.score[number])
         sighting = Sighting(
             number=number,
             target=target.name,
             appearance=target.appearance,
             time=datetime.now(UTC),
-            place=ned_to_geo((*ground_ned_m, laid.area.ground_down_m), laid.origin),
+            place=laid.area.au_to_geo(event.measurement.target_au[number], laid.origin),
             error_m=event.error_m,
             score=None if math.isnan(score) else score,
             crop=None,
@@ -76,12 +74,14 @@ class CotSender:
             self.dropped += 1
 
 
-def _address(url: str) -> tuple[str, int]:
+def _resolved(url: str) -> tuple[socket.AddressFamily, Any]:
+    """Family and address, asked for once: no name is looked up in flight. Raises OptionError."""
     try:
         parts = urlsplit(url)
         if parts.scheme == "udp" and parts.hostname and parts.port:
-            socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_DGRAM)
-            return parts.hostname, parts.port
+            found = socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_DGRAM)
+            family, *_, address = found[0]
+            return family, address
     except (ValueError, OSError) as exc:
         raise OptionError(f"--cot {url}: {exc}; give udp://HOST:PORT") from exc
     raise OptionError(f"--cot {url}: give udp://HOST:PORT, such as udp://127.0.0.1:6969")

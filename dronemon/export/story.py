@@ -55,7 +55,7 @@ class Sighting:
 class Story:
     """A run on the globe; all times are UTC.
 
-    corners: of the area, as a walk around it
+    corners: of the area, as a walk around it that ends where it began
     home:    where it was armed, None if it never was
     """
 
@@ -97,9 +97,7 @@ def read_story(folder: RunFolder) -> Story:
 
 
 def _corners(laid: Laid) -> list[GeoPoint]:
-    down_m = laid.frame.ground_down_m
-    corners_ned_m = laid.frame.au_to_ned(ARENA.outline_au)
-    return [ned_to_geo(np.array([*corner, down_m]), laid.origin) for corner in corners_ned_m]
+    return [laid.frame.au_to_geo(corner_au, laid.origin) for corner_au in ARENA.outline_au]
 
 
 def _sightings(run: Path, line: Mapping[str, Any], mission: Mission) -> list[Sighting]:

@@ -32,7 +32,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from dronemon.clock import machine_time
@@ -212,27 +211,15 @@ class RunRecorder:
 
     def ground_place(self, position_au: FloatArray) -> GeoPoint | None:
         """A place of the area on the globe; None before the area is laid."""
-        if self._laid is None:
-            return None
-        area = self._laid.area
-        return self._geo_point((*area.au_to_ned(position_au), area.ground_down_m))
-
-    def _geo_point(self, position_ned_m: Sequence[float]) -> GeoPoint | None:
-        """A place on the globe, to the centimetre; None before the area is laid."""
-        if self._laid is None:
-            return None
-        point = ned_to_geo(np.array(position_ned_m), self._laid.origin)
-        return GeoPoint(
-            latitude_deg=round(point.latitude_deg, 7),
-            longitude_deg=round(point.longitude_deg, 7),
-            altitude_m=round(point.altitude_m, 2),
-        )
+        laid = self._laid
+        return None if laid is None else laid.area.au_to_geo(position_au, laid.origin)
 
     def _ground(self, position_au: FloatArray) -> dict[str, object]:
         return _told(self.ground_place(position_au))
 
     def _place(self, position_ned_m: Sequence[float]) -> dict[str, object]:
-        return _told(self._geo_point(position_ned_m))
+        laid = self._laid
+        return _told(None if laid is None else ned_to_geo(position_ned_m, laid.origin))
 
     def _wall(self, time_s: float) -> str:
         """Wall time of a vehicle time that has just passed."""
@@ -323,7 +310,15 @@ def _as_flown(mission: Mission) -> str:
 
 
 def _told(place: GeoPoint | None) -> dict[str, object]:
-    return {} if place is None else {"place": asdict(place)}
+    """A place to the centimetre, where it is known."""
+    if place is None:
+        return {}
+    latitude_deg, longitude_deg = round(place.latitude_deg, 7), round(place.longitude_deg, 7)
+    altitude_m = round(place.altitude_m, 2)
+    rounded = GeoPoint(
+        latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_m=altitude_m
+    )
+    return {"place": asdict(rounded)}
 
 
 def _now() -> datetime:

@@ -9,13 +9,13 @@ import typer
 
 from dronemon.durable import replace_text
 from dronemon.errors import OptionError
+from dronemon.flight_options import RunArgument
 from dronemon.recorder import RunFolder
 from dronemon.report.figures import draw_map, save_png
 from dronemon.report.flight import read_flight
 from dronemon.report.page import page
 from dronemon.terminal import console
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 OutOption = Annotated[
     Path | None,
     typer.Option(help="The HTML file; the map goes beside it as PNG.", show_default="in RUN"),

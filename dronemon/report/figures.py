@@ -35,21 +35,8 @@ def draw_map(flight: Flight) -> Figure:
     """Field, track, sightings, the last belief, and fog where nobody looked lately; north is up."""
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     panel = figure.add_subplot()
-    transform = _au_to_map(flight) + panel.transData
-    fog = np.clip(flight.unseen_for_s / _FOG_S, 0.0, 1.0)
-    layers = [_layer((0.45, 0.48, 0.52), 0.55 * fog)]
-    for number, mean in enumerate(flight.mean):
-        layers.append(_layer(color(number), 0.85 * np.clip(mean, 0.0, 1.0)))
-    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
-    for layer in layers:
-        panel.imshow(
-            layer,
-            extent=(left, right, bottom, top),
-            origin="lower",
-            interpolation="bilinear",
-            transform=transform,
-        )
-    border = _to_map(flight, np.concatenate([ARENA.outline_au, ARENA.outline_au[:1]]))
+    _draw_beliefs(panel, flight)
+    border = _to_map(flight, ARENA.outline_au)
     panel.plot(*border.T, color="0.3", linewidth=1.2)
     panel.plot(*_to_map(flight, flight.agent_au).T, color="0.35", linewidth=0.6, label="drone")
     for number, name in enumerate(flight.names):
@@ -76,6 +63,24 @@ def draw_map(flight: Flight) -> Figure:
     panel.set_axis_off()
     panel.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), ncols=3, fontsize=8, frameon=False)
     return figure
+
+
+def _draw_beliefs(panel: Axes, flight: Flight) -> None:
+    """Fog where nobody looked lately, and each target's colour where it is expected."""
+    transform = _au_to_map(flight) + panel.transData
+    fog = np.clip(flight.unseen_for_s / _FOG_S, 0.0, 1.0)
+    layers = [_layer((0.45, 0.48, 0.52), 0.55 * fog)]
+    for number, mean in enumerate(flight.mean):
+        layers.append(_layer(color(number), 0.85 * np.clip(mean, 0.0, 1.0)))
+    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
+    for layer in layers:
+        panel.imshow(
+            layer,
+            extent=(left, right, bottom, top),
+            origin="lower",
+            interpolation="bilinear",
+            transform=transform,
+        )
 
 
 def _layer(rgb: tuple[float, float, float], alpha: FloatArray) -> FloatArray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,13 @@ from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.errors import RecordError
 from dronemon.export.story import Story, read_story
-from dronemon.frames import AreaFrame, GeoPoint, ned_to_geo
+from dronemon.frames import AreaFrame
 from dronemon.mission import Mission, load_mission
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.recorder import MISSION_FILE, RunFolder
-from dronemon.runner.history import Laid, measurement_of, understanding
+from dronemon.runner.history import Laid, recorded, understanding
 from dronemon.runner.preparation import make_belief
 from dronemon.runner.watch import Watched, watch
-from dronemon.sightings import Sightings
 from dronemon.types import FloatArray
 
 GRID_SIZE = 60
@@ -80,10 +79,7 @@ def read_flight(folder: RunFolder) -> Flight:
         if not lines:
             raise RecordError(f"{folder.path}: no picture was looked at: nothing is there to tell")
         laid = Laid.told_by([event for event in events if event["kind"] == "ready"][-1])
-        names = [target.name for target in mission.targets]
-        measurements = [measurement_of(line, names) for line in lines]
-        began = next(event for event in events if "priors_au" in event)
-        sightings = Sightings(np.array(began["priors_au"], dtype=np.float64))
+        sightings, measurements = recorded(folder, mission)
         belief = make_belief(mission, sightings)
         std = []
         for measurement in measurements:
@@ -92,11 +88,7 @@ def read_flight(folder: RunFolder) -> Flight:
         seconds = mission.seconds_per_au
         agent_au = np.array([m.agent_au for m in measurements])
         times_au = np.array([m.time_au for m in measurements])
-
-        def place_of(position_au: FloatArray) -> GeoPoint:
-            ground_ned_m = [*laid.frame.au_to_ned(position_au), laid.frame.ground_down_m]
-            return ned_to_geo(np.array(ground_ned_m), laid.origin)
-
+        place_of = partial(laid.frame.au_to_geo, origin=laid.origin)
         return Flight(
             story=story,
             mission=mission,
@@ -114,7 +106,10 @@ def read_flight(folder: RunFolder) -> Flight:
             ).reshape(-1, 2),
             mean=_on_grid(belief)[0],
             unseen_for_s=_unseen_for_au(agent_au, times_au) * seconds,
-            watched=[watch(sightings, number, seconds, place_of) for number in range(len(names))],
+            watched=[
+                watch(sightings, number, seconds, place_of)
+                for number in range(len(mission.targets))
+            ],
             events=events,
         )
 
@@ -125,11 +120,9 @@ def beliefs_at(folder: RunFolder, mission: Mission, count: int) -> tuple[FloatAr
     Raises RecordError.
     """
     with understanding(folder):
-        names = [target.name for target in mission.targets]
-        began = next(event for event in folder.events() if "priors_au" in event)
-        sightings = Sightings(np.array(began["priors_au"], dtype=np.float64))
-        for line in itertools.islice(folder.observations(), count):
-            sightings.add(measurement_of(line, names))
+        sightings, measurements = recorded(folder, mission)
+    for measurement in measurements[:count]:
+        sightings.add(measurement)
     return _on_grid(make_belief(mission, sightings))
 
 

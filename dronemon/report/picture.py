@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 
 from dronemon.arena import ARENA
 from dronemon.errors import OptionError
+from dronemon.flight_options import RunArgument
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.recorder import RunFolder
 from dronemon.report.figures import color
@@ -22,7 +23,6 @@ from dronemon.simulator import read_truth
 from dronemon.terminal import console
 from dronemon.types import FloatArray
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Its run folder.")]
 ToOption = Annotated[
     Path, typer.Option("--to", help="The picture: PNG, SVG or PDF.", show_default=False)
 ]

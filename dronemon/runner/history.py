@@ -242,6 +242,19 @@ def measurement_of(line: Mapping[str, Any], names: Sequence[str]) -> Measurement
     )
 
 
+def recorded(folder: RunFolder, mission: Mission) -> tuple[Sightings, list[Measurement]]:
+    """What was known when the patrol began, and what was measured since, oldest first.
+
+    Raises LookupError, TypeError or ValueError where the lines are not those of this version.
+    """
+    began = next((event for event in folder.events() if "priors_au" in event), None)
+    if began is None:
+        raise RecordError(f"{folder.path}: its patrol never began: nothing is there to tell")
+    names = [target.name for target in mission.targets]
+    measurements = [measurement_of(line, names) for line in folder.observations()]
+    return Sightings(np.array(began["priors_au"], dtype=np.float64)), measurements
+
+
 def _recall(tally: Tally, folder: RunFolder, frame: AreaFrame, names: list[str]) -> None:
     """Take the measurements into a tally."""
     for line in folder.observations():

@@ -74,7 +74,7 @@ class Drawing:
         self._is_grid_laid = False
         self._scene: Scene | None = None
         self._nodes_au: FloatArray | None = None
-        self._trail = deque[tuple[float, FloatArray]]()
+        self._trail = deque[tuple[float, FloatArray, list[float]]]()
         self._trail_due_s = -np.inf
         self._seen_s: dict[int, float] = {}
         self._seen_au: dict[int, FloatArray] = {}
@@ -116,7 +116,7 @@ class Drawing:
         """Keep the area; draw border, fence, roadmap, and the vehicle that is moved over them."""
         log, area = self._rec.log, event.area
         self._area, self._radius_m = area, event.footprint_radius_m
-        border = au_to_map(np.concatenate([ARENA.outline_au, ARENA.outline_au[:1]]), area)
+        border = au_to_map(ARENA.outline_au, area)
         log("map/area", lines([border], GREY, 1.0, order=5), static=True)
         fence = ned_to_map(np.concatenate([event.fence_ned_m, event.fence_ned_m[:1]]), area)
         log("map/fence", lines([fence], BLUE, 1.0, order=5), static=True)
@@ -144,33 +144,30 @@ class Drawing:
         position = ned_to_map(np.array(pose.position_ned_m), self._area)
         turn = rr.RotationAxisAngle(axis=[0, 0, 1], radians=pose.attitude_rad[2])
         self._rec.log("map/vehicle", rr.Transform3D(translation=[*position, 0.0], rotation=turn))
-        if self._scene is not None:
-            self._scene.move(pose)
-        self._follow(pose, position)
+        assert self._scene is not None  # laid with the area
+        self._follow(pose.time_s + self._offset_s, position, self._scene.move(pose))
 
-    def _follow(self, pose: Pose, position: FloatArray) -> None:
+    def _follow(self, now_s: float, position: FloatArray, lat_lon: list[float]) -> None:
         """Extend the way flown, and let its last part fade."""
-        trail, now_s = self._trail, pose.time_s + self._offset_s
+        trail = self._trail
         if trail and now_s - trail[-1][0] < TRAJECTORY_INTERVAL_S:
             return
         if trail:
             self._rec.log("map/trajectory", lines([[trail[-1][1], position]], DARK, 0.8, order=20))
-        trail.append((now_s, position))
+        trail.append((now_s, position, lat_lon))
         while trail[0][0] < now_s - TRAIL_S:
             trail.popleft()
         if now_s < self._trail_due_s or len(trail) < 2:
             return
         self._trail_due_s = now_s + TRAIL_INTERVAL_S
-        points = np.array([place for _, place in trail])
+        points = np.array([place for _, place, _ in trail])
         size = -(-len(points) // TRAIL_PARTS)
         strips = [points[first : first + size + 1] for first in range(0, len(points) - 1, size)]
         shares = np.linspace(0.15, 1.0, len(strips))
         rgba = [(*WHITE, round(255 * share)) for share in shares]
         self._rec.log("map/trail", lines(strips, rgba, 1.4, order=22))
-        if self._scene is not None and self._area is not None:
-            ned_m = points[:, ::-1] * (-1.0, 1.0) + self._area.centre_ned_m
-            down_m = np.full((len(points), 1), pose.position_ned_m[2])
-            self._scene.extend_trail(list(np.concatenate([ned_m, down_m], axis=-1)))
+        assert self._scene is not None  # as above
+        self._scene.draw_trail([lat_lon for *_, lat_lon in trail])
 
     def _picture(self, event: Pictured) -> None:
         """Show picture, detections and the footprint's edge."""

@@ -168,8 +168,25 @@ def blueprint(
     margin_m: round the area on the map; legend_m: more left of it
     """
     half_m = shown_half_m(side_m, heading_rad)
-    plots = {key: _plot(title, f"plots/{key}") for key, title in SERIES.items()}
-    flying = [plots[key] for key in ("ground_speed_m_s", "height_m", "cross_track_m")]
+    maps = rrb.Tabs(
+        _map_view(half_m + margin_m, legend_m),
+        rrb.Spatial3DView(origin="scene", name="3-D"),
+        rrb.MapView(origin="world", name="On the globe", zoom=_zoom(side_m)),
+    )
+    return rrb.Blueprint(
+        rrb.Tabs(
+            rrb.Horizontal(maps, _instruments(), column_shares=[5, 4], name="Flight"),
+            _research(names, half_m),
+            rrb.TextDocumentView(origin="help", name="What is what"),
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+    )
+
+
+def _instruments() -> rrb.Vertical:
+    """Camera, times since seen, the vehicle's series, and events."""
     batteries = rrb.TimeSeriesView(
         origin="plots",
         contents=["+ plots/battery", "+ plots/battery_needed"],
@@ -177,7 +194,6 @@ def blueprint(
         axis_x=_ALL_TIME,
         axis_y=rrb.ScalarAxis(range=(0.0, 1.0)),
     )
-    since = _plot("Time since seen (s)", "plots/since_seen")
     events = rrb.TextLogView(
         origin="events",
         name="Events",
@@ -185,43 +201,34 @@ def blueprint(
             timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
         ),
     )
-    pilot = rrb.Horizontal(
-        rrb.Tabs(
-            _map_view(half_m + margin_m, legend_m),
-            rrb.Spatial3DView(origin="scene", name="3-D"),
-            rrb.MapView(origin="world", name="On the globe", zoom=_zoom(side_m)),
-        ),
-        rrb.Vertical(
-            rrb.Spatial2DView(origin=CAMERA, name="Camera"),
-            since,
-            rrb.Tabs(batteries, *flying),
-            events,
-            row_shares=[5, 2, 2, 2],
-        ),
-        column_shares=[5, 4],
-        name="Flight",
+    return rrb.Vertical(
+        rrb.Spatial2DView(origin=CAMERA, name="Camera"),
+        _plot("Time since seen (s)", "plots/since_seen"),
+        rrb.Tabs(batteries, *map(_series, ("ground_speed_m_s", "height_m", "cross_track_m"))),
+        events,
+        row_shares=[5, 2, 2, 2],
     )
+
+
+def _research(names: Sequence[str], half_m: float) -> rrb.Vertical:
+    """Each target's belief, and what the planner makes of them all."""
     each = [
         rrb.Horizontal(*(_belief_view(kind, name, half_m) for kind in KINDS), name=name)
         for name in names
     ]
-    research = rrb.Vertical(
+    return rrb.Vertical(
         rrb.Tabs(*each),
         rrb.Horizontal(
             _plot("Uncertainty where last seen (0 to 1)", "plots/std", (0.0, 1.05)),
-            plots["decision_ms"],
-            plots["value"],
+            *map(_series, ("decision_ms", "value")),
         ),
         row_shares=[3, 2],
         name="Beliefs and decisions",
     )
-    words = rrb.TextDocumentView(origin="help", name="What is what")
-    return rrb.Blueprint(
-        rrb.Tabs(pilot, research, words),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-    )
+
+
+def _series(key: str) -> rrb.TimeSeriesView:
+    return _plot(SERIES[key], f"plots/{key}")
 
 
 def _zoom(side_m: float) -> float:

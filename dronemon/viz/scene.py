@@ -38,7 +38,7 @@ class Scene:
         self._rec, self._laid, self._names = rec, laid, names
         side_m = laid.area.side_m
         arm_m = _ARM_SHARE * side_m
-        corners = self._ground_points(np.concatenate([ARENA.outline_au, ARENA.outline_au[:1]]))
+        corners = self._ground_points(ARENA.outline_au)
         rec.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         rec.log("scene/area", rr.LineStrips3D([corners], colors=GREY), static=True)
         box = rr.Boxes3D(half_sizes=[[arm_m, arm_m, 0.3 * arm_m]], colors=WHITE)
@@ -50,21 +50,21 @@ class Scene:
             image_plane_distance=0.1 * side_m,
         )
         rec.log(CAMERA, lens, rr.Transform3D(mat3x3=_CAMERA_TO_BODY), static=True)
-        border = [self._lat_lon(corner) for corner in self._corners_ned_m()]
+        border = [self._ground_lat_lon(corner_au) for corner_au in ARENA.outline_au]
         rec.log("world/area", rr.GeoLineStrings(lat_lon=[border], colors=BLUE), static=True)
 
-    def move(self, pose: Pose) -> None:
-        """Move and tilt the drone."""
+    def move(self, pose: Pose) -> list[float]:
+        """Move and tilt the drone. -> its latitude and longitude"""
         position = _NED_TO_SCENE @ (np.array(pose.position_ned_m) - self._origin_ned_m())
         tilt = _NED_TO_SCENE @ body_to_ned(pose.attitude_rad)
         self._rec.log("scene/vehicle", rr.Transform3D(translation=position, mat3x3=tilt))
         place = self._lat_lon(pose.position_ned_m)
         self._rec.log("world/vehicle", rr.GeoPoints(lat_lon=[place], colors=WHITE, radii=-6.0))
+        return place
 
-    def extend_trail(self, trail_ned_m: Sequence[FloatArray]) -> None:
-        """Draw the way flown lately on the globe."""
-        trail = [self._lat_lon(position) for position in trail_ned_m]
-        self._rec.log("world/trail", rr.GeoLineStrings(lat_lon=[trail], colors=GREY))
+    def draw_trail(self, places: Sequence[Sequence[float]]) -> None:
+        """Draw the way flown lately on the globe. places: latitudes and longitudes"""
+        self._rec.log("world/trail", rr.GeoLineStrings(lat_lon=[places], colors=GREY))
 
     def see(self, number: int, place_au: FloatArray) -> None:
         """Mark where a target was seen last."""
@@ -73,19 +73,15 @@ class Scene:
         self._rec.log(
             path("scene", "seen", name), rr.Points3D(point, colors=rgb, radii=-5.0, labels=[name])
         )
-        north_m, east_m = self._laid.area.au_to_ned(place_au)
-        place = self._lat_lon((north_m, east_m, self._laid.area.ground_down_m))
-        mark = rr.GeoPoints(lat_lon=[place], colors=rgb, radii=-5.0)
+        mark = rr.GeoPoints(lat_lon=[self._ground_lat_lon(place_au)], colors=rgb, radii=-5.0)
         self._rec.log(path("world", "seen", name), mark)
 
     def lay_belief(self, rgb: ImageArray) -> None:
         """Lay the picture of all beliefs on the ground. rgb: (G, G, 3), rows are y."""
-        (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
-        corners_au = np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
         self._rec.log(
             "scene/ground",
             rr.Mesh3D(
-                vertex_positions=self._ground_points(corners_au),
+                vertex_positions=self._ground_points(ARENA.outline_au[:4]),
                 triangle_indices=[[0, 1, 2], [0, 2, 3]],
                 vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
                 albedo_texture=rgb,
@@ -101,11 +97,10 @@ class Scene:
         offset_m = self._laid.area.au_to_ned(places_au) - np.array(self._laid.area.centre_ned_m)
         return np.concatenate([offset_m[:, ::-1], np.zeros((len(offset_m), 1))], axis=-1)
 
-    def _corners_ned_m(self) -> list[tuple[float, float, float]]:
-        down_m = self._laid.area.ground_down_m
-        around = self._laid.area.au_to_ned(np.concatenate([ARENA.outline_au, ARENA.outline_au[:1]]))
-        return [(float(north), float(east), down_m) for north, east in around]
+    def _ground_lat_lon(self, place_au: FloatArray) -> list[float]:
+        place = self._laid.area.au_to_geo(place_au, self._laid.origin)
+        return [place.latitude_deg, place.longitude_deg]
 
-    def _lat_lon(self, position_ned_m: Sequence[float] | FloatArray) -> list[float]:
-        place = ned_to_geo(np.array(position_ned_m), self._laid.origin)
+    def _lat_lon(self, position_ned_m: Sequence[float]) -> list[float]:
+        place = ned_to_geo(position_ned_m, self._laid.origin)
         return [place.latitude_deg, place.longitude_deg]
