@@ -36,6 +36,14 @@ settings.load_profile("repeatable")
 torch.set_num_threads(1)  # a second thread is ruinous for small matrices on a busy machine
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _state_folder_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The same for what flies before a test does: fixtures of a module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _own_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept for vehicles is this test's alone; its programs inherit that."""
