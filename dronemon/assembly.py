@@ -38,7 +38,7 @@ from dronemon.runner.history import History, Newest, read_history, read_newest
 from dronemon.runner.interrupts import Interrupted
 from dronemon.runner.relay import Relay
 from dronemon.runner.summary import Summary, summarise
-from dronemon.simulator import Simulator, read_truth, simulator
+from dronemon.simulator import Simulator, Truth, simulator
 from dronemon.terminal import FlightDisplay, console, print_error
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
@@ -48,6 +48,7 @@ from dronemon.viz import FlightView
 
 _WORKER_THREADS = 16
 """MAVSDK's calls wait in them."""
+_TRUTH_INTERVAL_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,8 +71,10 @@ class Request:
     redact_m: float | None = None
 
 
-async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightResult, Summary]:
-    """Fly a mission that was checked with everything it names, into a new run folder.
+async def assemble_and_fly(
+    file: MissionFile, request: Request
+) -> tuple[FlightResult, Summary, RunFolder]:
+    """Fly a mission that was checked with everything it names. -> result, summary, run folder
 
     Raises DronemonError for what fails before the flight begins; the rest is in the result.
     """
@@ -97,7 +100,7 @@ async def assemble_and_fly(file: MissionFile, request: Request) -> tuple[FlightR
         except Exception as exc:  # noqa: BLE001 - the last word on the drone comes first
             result = _failed_after(result, exc)
             summary = sum_up(replace(result, tally=None), truth=())
-    return result, summary
+    return result, summary, recorder.folder
 
 
 def _weights(mission: Mission) -> dict[str, object]:
@@ -149,7 +152,7 @@ async def _with_everything(
 
     newest: of a run that goes on
     """
-    result, truth = None, list[TruthTold]()
+    result, truth = None, Truth(recorder.folder.path)
     try:
         async with contextlib.AsyncExitStack() as stack:
             detector, interrupts = make_detector(file.mission), _interrupts()
@@ -173,7 +176,7 @@ async def _with_everything(
             raise
         result = _failed_after(result, exc)
     assert result is not None  # or it was raised
-    return result, truth
+    return result, truth.told
 
 
 def _open_views(
@@ -217,6 +220,7 @@ async def assemble_and_inspect(
             interrupts=Interrupts(),
             settings=request.settings,
             folder=_existing(request.out or Path()),
+            truth=Truth(recorder.folder.path),
         )
         setup = run.setup(await stack.enter_async_context(run.link()))
         tell = partial(console.print, soft_wrap=True, markup=False)
@@ -234,7 +238,7 @@ class _Run:
 
     sim:    None where nothing is simulated
     folder: on whose disk the record must have room
-    truth:  where the simulator had the targets at each picture, in order, as far as it is told
+    truth:  where the simulator has the targets; the flight's watchers are told, nobody else is
     """
 
     file: MissionFile
@@ -246,7 +250,7 @@ class _Run:
     interrupts: Interrupts
     settings: Mapping[str, float]
     folder: Path
-    truth: list[TruthTold] = field(default_factory=list)
+    truth: Truth
 
     def setup(self, link: MavsdkLink, history: History | None = None) -> FlightSetup:
         """What the next flight is made of."""
@@ -280,12 +284,13 @@ class _Run:
             if sim.vehicle_url is not None:
                 self.interrupts.give_up()
 
-        watching = asyncio.create_task(watch(sim), name="simulator") if sim else None
+        tasks = [watch(sim), self._keep_telling_truth()] if sim else []
+        beside = [asyncio.create_task(task, name="simulator") for task in tasks]
         try:
             result = await self._fly_on(is_resumed=is_resumed)
         finally:
-            if watching:
-                watching.cancel()
+            for task in beside:
+                task.cancel()
         is_gone = bool(ends) and sim is not None and sim.vehicle_url is not None
         if is_gone and result.last_seen is not None:
             gone = replace(result.last_seen, what_comes="it is gone with its simulator")
@@ -324,10 +329,14 @@ class _Run:
         self.recorder.flush()
         return read_history(self.recorder.folder, self.file.mission, self._priors_au())
 
+    async def _keep_telling_truth(self) -> None:
+        while True:
+            await asyncio.sleep(_TRUTH_INTERVAL_S)
+            self._tell_truth()
+
     def _tell_truth(self) -> None:
         """Tell what the simulator has written since it was asked last."""
-        for told in read_truth(self.recorder.folder.path)[len(self.truth) :]:
-            self.truth.append(told)
+        for told in self.truth.read_on():
             for watcher in self.watchers:
                 watcher.take(told)
 

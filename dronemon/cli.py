@@ -34,6 +34,7 @@ from dronemon.flight_options import (
     RunFolder,
     Seed,
     Settings,
+    StayOpen,
     SpeedUp,
     Unasked,
     VehicleUrl,
@@ -127,6 +128,7 @@ def fly_command(
     yes: Unasked = False,
     cot: CotUrl = None,
     redact: Redact = None,
+    stay: StayOpen = False,
 ) -> None:
     """Fly a mission: take off, patrol, come home, land. Ctrl-C returns; twice lands now."""
     checked = _resumed(context) if resume else _checked(context)
@@ -139,11 +141,15 @@ def fly_command(
     request = Request(
         follow=follow, settings=confirmed, out=out, resume=resume, cot=cot, redact_m=redact
     )
-    result, summary = asyncio.run(assemble_and_fly(checked, request))
+    result, summary, folder = asyncio.run(assemble_and_fly(checked, request))
     console.print(facts_table(checked.mission.name, facts(summary)))
     if told := figures(summary.as_json()):
         console.print(facts_table("for researchers", told))
     (console.print if result.is_landed else print_error)(result.last_word)
+    if stay:
+        from dronemon.viewing import show
+
+        show(folder, checked.mission.view.port, "set another view.port in the mission")
     if result.error is not None:  # told when it happened
         raise typer.Exit(result.error.exit_code)
     if not result.is_landed:

@@ -46,6 +46,9 @@ Seed = Annotated[int | None, typer.Option(help="Seed of world, roadmap and plann
 LiveView = Annotated[
     bool | None, typer.Option("--view/--no-view", help="Serve the live view on loopback.")
 ]
+StayOpen = Annotated[
+    bool, typer.Option("--stay", help="Show the whole flight afterwards, until Ctrl-C.")
+]
 RunFolder = Annotated[
     Path | None, typer.Option(help="Run folder; a new one under runs/ if absent.")
 ]

@@ -10,7 +10,7 @@ import contextlib
 import json
 import socket
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,14 +138,37 @@ def held_udp_port() -> Iterator[int]:
         yield holder.getsockname()[1]
 
 
+class Truth:
+    """Where a run's simulator has its animals at each picture, read while it is written.
+
+    told: in order, as far as it was read
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.told: list[TruthTold] = []
+        self._path = folder / TRUTH_FILE
+        self._num_bytes = 0
+
+    def read_on(self) -> list[TruthTold]:
+        """Read what was written since the last time. -> that"""
+        with contextlib.suppress(FileNotFoundError), self._path.open("rb") as file:
+            file.seek(self._num_bytes)
+            whole, end, _ = file.read().rpartition(b"\n")
+            self._num_bytes += len(whole) + len(end)
+            further = list(_truth_told(whole.splitlines()))
+            self.told += further
+            return further
+        return []
+
+
+def _truth_told(lines: Iterable[bytes]) -> Iterator[TruthTold]:
+    for line in lines:
+        with contextlib.suppress(ValueError):  # a simulator was killed while it wrote
+            record = json.loads(line)
+            places_au = np.array(record["targets_au"])
+            yield TruthTold(time_s=record["time_s"], targets_au=places_au)
+
+
 def read_truth(folder: Path) -> list[TruthTold]:
     """Where a run's simulator had its animals at each picture, in order."""
-    truth: list[TruthTold] = []
-    path = folder / TRUTH_FILE
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
-            with contextlib.suppress(ValueError):  # the last line, if the simulator was killed
-                record = json.loads(line)
-                places_au = np.array(record["targets_au"])
-                truth.append(TruthTold(time_s=record["time_s"], targets_au=places_au))
-    return truth
+    return Truth(folder).read_on()

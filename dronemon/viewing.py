@@ -21,11 +21,18 @@ PortOption = Annotated[int, typer.Option(min=1024, max=65535, help="Of the data,
 
 def view_command(run: RunArgument, port: PortOption = _PORT) -> None:
     """Look at a flight's recording: in a window, or without a display on a page of this machine."""
-    folder = RunFolder.open(run)
-    recordings = [run / name for name in folder.recordings()]
+    show(RunFolder.open(run), port, "choose another --port")
+
+
+def show(folder: RunFolder, port: int, other_port: str) -> None:
+    """Show a run's recordings until the window is closed or a person ends it.
+
+    other_port: how to choose another one, for the error. Raises RecordError, ViewError.
+    """
+    recordings = [folder.path / name for name in folder.recordings()]
     if not recordings:
-        raise RecordError(f"{run}: it has no recording: the flight ended before one was begun")
-    viewer = find_viewer(port, "choose another --port")
+        raise RecordError(f"{folder.path}: no recording: the flight ended before one was begun")
+    viewer = find_viewer(port, other_port)
     console.print(f"{viewer.where}; Ctrl-C ends it", soft_wrap=True, markup=False)
     program = subprocess.Popen(
         [*viewer.command, *recordings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

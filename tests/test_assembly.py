@@ -59,6 +59,7 @@ def test_a_person_need_not_wait_until_a_vehicle_is_heard(monkeypatch):
         interrupts=interrupts,
         settings={},
         folder=None,
+        truth=None,
     )
     with pytest.raises(LinkTimeout, match="nothing was commanded"):
         asyncio.run(asyncio.wait_for(run.fly(is_resumed=False), 5.0))
@@ -79,7 +80,7 @@ async def done(*_):
     [
         ("FlightView", fails_to_close),
         ("FlightDisplay", fails_to_close),
-        ("read_truth", lambda path: np.zeros(3)[5]),
+        ("Truth", lambda path: SimpleNamespace(read_on=lambda: np.zeros(3)[5], told=[])),
     ],
 )
 def test_what_fails_after_a_flight_is_told_beside_its_result(tmp_path, monkeypatch, name, part):
@@ -93,7 +94,7 @@ def test_what_fails_after_a_flight_is_told_beside_its_result(tmp_path, monkeypat
     monkeypatch.setattr(assembly, "fly_mission", done)
     monkeypatch.setattr(assembly, name, part)
     request = Request(out=tmp_path / "run")
-    result, summary = asyncio.run(assemble_and_fly(load_mission(path), request))
+    result, summary, _ = asyncio.run(assemble_and_fly(load_mission(path), request))
     assert (result.outcome, result.last_word) == ("completed", DOWN)
     assert "it is gone" in str(result.error) or "IndexError" in str(result.error)
     assert summary.error == str(result.error)

@@ -14,6 +14,7 @@ import typer
 from dronemon.errors import OptionError
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import (
+    FIGURE4,
     FIGURE5,
     PAPER_INSTANCES,
     TABLE1,
@@ -76,7 +77,7 @@ InstancesOption = Annotated[
     int | None,
     typer.Option(
         help="Instances per cell; one seed is one instance.",
-        show_default="16; 100 for the paper's tables and figure",
+        show_default="16; 100 for the paper's tables and figures",
     ),
 ]
 FirstSeedOption = Annotated[int, typer.Option(help="Seed of the first instance.")]
@@ -85,6 +86,9 @@ Table1Option = Annotated[
 ]
 Table2Option = Annotated[
     bool, typer.Option("--table2", help="The paper's Table II: roadmap sizes and histories.")
+]
+Figure4Option = Annotated[
+    bool, typer.Option("--figure4", help="The paper's Figure 4: uncertainty over time.")
 ]
 Figure5Option = Annotated[
     bool, typer.Option("--figure5", help="The paper's Figure 5: what is known at the start.")
@@ -102,6 +106,7 @@ WorkersOption = Annotated[int | None, typer.Option(help="Processes.", show_defau
 _OF_THE_PAPER = {
     "--table1": (TABLE1, DEFAULT_PLANNERS),
     "--table2": (TABLE2, ",".join(TABLE2_PLANNERS)),
+    "--figure4": (FIGURE4, "stamp,search,tsp,lawnmower"),
     "--figure5": (FIGURE5, "search,stamp"),
 }
 """Option -> what it goes through, and the planners that it compares."""
@@ -119,13 +124,19 @@ def evaluate_command(
     first_seed: FirstSeedOption = 0,
     table1: Table1Option = False,
     table2: Table2Option = False,
+    figure4: Figure4Option = False,
     figure5: Figure5Option = False,
     horizon: HorizonOption = 30.0,
     save_episodes: SaveOption = False,
     workers: WorkersOption = None,
 ) -> None:
     """Measure planners on simulated instances, and compare them with the paper's figures."""
-    asked = {"--table1": table1, "--table2": table2, "--figure5": figure5}
+    asked = {
+        "--table1": table1,
+        "--table2": table2,
+        "--figure4": figure4,
+        "--figure5": figure5,
+    }
     chosen = [option for option, is_asked in asked.items() if is_asked]
     own = targets, speed, prior, nodes
     if len(chosen) > 1 or (chosen and own != (None, None, None, None)):

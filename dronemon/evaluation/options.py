@@ -64,6 +64,7 @@ TABLE1 = Sweep(
     speed_ratios=(Fraction(1, 30), Fraction(1, 20), Fraction(1, 10), Fraction(1, 7)),
 )
 TABLE2 = Sweep(nodes=(50, 100, 150, 200, 300, 400))
+FIGURE4 = Sweep(targets=(4, 6), speed_ratios=(Fraction(1, 20),))
 FIGURE5 = Sweep(targets=(4, 6), speed_ratios=(Fraction(1, 20),), priors=PRIORS)
 PAPER_INSTANCES = 100
 TABLE2_PLANNERS = {

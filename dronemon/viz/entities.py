@@ -29,6 +29,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dronemon.frames import AreaFrame
+from dronemon.mission import Mission
 from dronemon.palette import Rgb, target_rgb
 from dronemon.types import FloatArray, ImageArray
 
@@ -160,19 +161,25 @@ def shown_half_m(side_m: float, heading_rad: float) -> float:
     return side_m * (abs(math.cos(heading_rad)) + abs(math.sin(heading_rad))) / 2.0 * 1.06
 
 
-def blueprint(
-    names: Sequence[str], side_m: float, heading_rad: float, margin_m: float, legend_m: float
-) -> rrb.Blueprint:
+def blueprint(mission: Mission, legend_m: float) -> rrb.Blueprint:
     """Lay out the viewer: a tab for who flies, one for who studies, one that says what is what.
 
-    margin_m: round the area on the map; legend_m: more left of it
+    legend_m: more left of the map than round it
     """
-    half_m = shown_half_m(side_m, heading_rad)
+    area = mission.area
+    half_m = shown_half_m(area.side_m, math.radians(area.heading_deg))
+    bounds = _bounds(half_m + mission.flight.fence_margin_m, legend_m)
     maps = rrb.Tabs(
-        _map_view(half_m + margin_m, legend_m),
+        _map_view("Map", bounds, hidden=(*KINDS, "truth")),
+        *(
+            [_map_view("Map and truth", bounds, hidden=tuple(KINDS))]
+            if mission.camera.is_simulated
+            else []
+        ),
         rrb.Spatial3DView(origin="scene", name="3-D"),
-        rrb.MapView(origin="world", name="On the globe", zoom=_zoom(side_m)),
+        rrb.MapView(origin="world", name="On the globe", zoom=_zoom(area.side_m)),
     )
+    names = [target.name for target in mission.targets]
     return rrb.Blueprint(
         rrb.Tabs(
             rrb.Horizontal(maps, _instruments(), column_shares=[5, 4], name="Flight"),
@@ -247,7 +254,7 @@ def _bounds(half_m: float, more_left_m: float = 0.0) -> rrb.VisualBounds2D:
     return rrb.VisualBounds2D(x_range=(-half_m - more_left_m, half_m), y_range=(-half_m, half_m))
 
 
-def _map_view(half_m: float, legend_m: float) -> rrb.Spatial2DView:
+def _map_view(name: str, bounds: rrb.VisualBounds2D, hidden: Sequence[str]) -> rrb.Spatial2DView:
     flown = rrb.VisibleTimeRanges(
         rrb.VisibleTimeRange(
             TIMELINE,
@@ -257,9 +264,9 @@ def _map_view(half_m: float, legend_m: float) -> rrb.Spatial2DView:
     )
     return rrb.Spatial2DView(
         origin="map",
-        contents=["+ $origin/**", *(f"- $origin/{kind}/**" for kind in KINDS)],
-        name="Map",
-        visual_bounds=_bounds(half_m, legend_m),
+        contents=["+ $origin/**", *(f"- $origin/{kind}/**" for kind in hidden)],
+        name=name,
+        visual_bounds=bounds,
         overrides={"map/trajectory": flown},
     )
 

@@ -8,7 +8,6 @@ queue is full the newest one is dropped and counted. One that cannot be drawn is
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 import uuid
 from pathlib import Path
@@ -95,11 +94,7 @@ class FlightView:
                 undo.callback(self._page.close)
             self._file = RecordingFile(self._rrd_path, self._page)
             undo.pop_all()
-        names = [target.name for target in mission.targets]
-        area, margin_m = mission.area, mission.flight.fence_margin_m
-        heading_rad, legend_m = math.radians(area.heading_deg), LEGEND_SHARE * area.side_m
-        layout = blueprint(names, area.side_m, heading_rad, margin_m, legend_m)
-        self._file.take(recording, layout)
+        self._file.take(recording, blueprint(mission, LEGEND_SHARE * mission.area.side_m))
         recording.send_recording_name(mission.name)
         self._drawing = Drawing(recording, mission)
         self._worker = threading.Thread(
