@@ -346,7 +346,7 @@ _ELSEWHERE = {
     ),
     "picture": (
         "dronemon.report.picture",
-        "Draw a flight at one moment, as the paper's Figure 1: beliefs, way, truth, distances.",
+        "Draw a flight at one moment, as the paper's Figures 1 and 6: beliefs, way, truth, camera.",
     ),
     "compare": ("dronemon.report.compare", "Show several flights side by side."),
     "explain": (

@@ -1,7 +1,8 @@
-"""`dronemon picture`: a flight at one moment, as Figure 1 of the paper shows it."""
+"""`dronemon picture`: a flight at one moment, as Figures 1 and 6 of the paper show it."""
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.patches import Circle
 
 from dronemon.arena import ARENA
@@ -22,6 +24,7 @@ from dronemon.report.flight import Flight, beliefs_at, read_flight
 from dronemon.simulator import read_truth
 from dronemon.terminal import console
 from dronemon.types import FloatArray
+from dronemon.viz.recorded import Marked, picture_at
 
 ToOption = Annotated[
     Path, typer.Option("--to", help="The picture: PNG, SVG or PDF.", show_default=False)
@@ -34,17 +37,17 @@ _TRAIL = 40
 
 
 def picture_command(run: RunArgument, to: ToOption, at: AtOption = None) -> None:
-    """Draw beliefs, way flown, truth and distances at one moment of a flight."""
+    """Draw beliefs, way flown, truth, distances and the camera's picture at one moment."""
     folder = RunFolder.open(run)
     flight = read_flight(folder)
     times_au = flight.times_s / flight.mission.seconds_per_au
     if at is not None and at > times_au[-1]:
         raise OptionError(f"--at {at:g}: the last picture is of {times_au[-1]:.1f} au")
     count = len(times_au) if at is None else max(1, int(np.searchsorted(times_au, at, "right")))
-    truth_au = _truth_au(folder)
+    figure = draw(folder, flight, count)
     try:
         to.parent.mkdir(parents=True, exist_ok=True)
-        draw(folder, flight, count, truth_au).savefig(to, dpi=150)
+        figure.savefig(to, dpi=150)
     except (OSError, ValueError) as exc:
         raise OptionError(f"--to {to}: cannot be written: {exc}") from exc
     console.print(to, soft_wrap=True, markup=False, highlight=False)
@@ -59,23 +62,27 @@ def _truth_au(folder: RunFolder) -> FloatArray | None:
     return np.array([told[time_s] for time_s in times_s])
 
 
-def draw(folder: RunFolder, flight: Flight, count: int, truth_au: FloatArray | None) -> Figure:
-    """The moment of the `count`-th picture. Source of the arrangement: paper, Figure 1."""
+def draw(folder: RunFolder, flight: Flight, count: int) -> Figure:
+    """The moment of the `count`-th picture. Source of the arrangement: paper, Figures 1 and 6."""
     mean, std = beliefs_at(folder, flight.mission, count)
-    columns = max(3, len(flight.names))
+    truth_au = _truth_au(folder)
+    columns = max(4, len(flight.names))
     figure = Figure(figsize=(2.6 * columns, 5.6), layout="constrained")
-    grid = figure.add_gridspec(2, 3 * columns)
+    grid = figure.add_gridspec(2, 4 * columns)
     for number, name in enumerate(flight.names):
-        panel = figure.add_subplot(grid[0, 3 * number : 3 * number + 3])
+        panel = figure.add_subplot(grid[0, 4 * number : 4 * number + 4])
         _show(panel, mean[number], f"belief of {name}")
-    together, truth, far = (
-        figure.add_subplot(grid[1, k * columns : (k + 1) * columns]) for k in range(3)
+    together, truth, camera, far = (
+        figure.add_subplot(grid[1, k * columns : (k + 1) * columns]) for k in range(4)
     )
     _show(together, 1.0 - std.min(axis=0), "all beliefs, and the way flown")
     _draw_way(together, flight, count)
     _frame(truth, "where the targets truly are" + (": not known" if truth_au is None else ""))
     if truth_au is not None:
         _draw_areas(truth, truth_au[count - 1])
+    recordings = [folder.path / name for name in folder.recordings()]
+    time_s = list(folder.observations())[count - 1]["time_s"]
+    _draw_picture(camera, picture_at(recordings, time_s))
     _draw_distances(far, flight, count, flight.seen_au if truth_au is None else truth_au)
     return figure
 
@@ -98,6 +105,25 @@ def _draw_areas(panel: Axes, targets_au: FloatArray) -> None:
     for number, target_au in enumerate(targets_au):
         panel.plot(*target_au, "s", color=color(number), markersize=6)
         _ring(panel, target_au, color=color(number), linestyle=":")
+
+
+def _draw_picture(panel: Axes, picture: Marked | None) -> None:
+    """What the camera saw, a square round each target found; the edge of the drone's sight."""
+    panel.set_xticks([])
+    panel.set_yticks([])
+    if picture is None:
+        panel.set_title("camera: not recorded", fontsize=9)
+        return
+    image = imread(BytesIO(picture.jpeg), format="jpg")
+    panel.imshow(image)
+    panel.plot(*picture.footprint_px.T, color="gold", linewidth=1.0)
+    for place_px, name in zip(picture.detections_px, picture.names, strict=True):
+        panel.plot(*place_px, "s", color="red", markersize=16, fillstyle="none")
+        panel.annotate(name, place_px, (0, 10), textcoords="offset points", fontsize=7, ha="center")
+    height_px, width_px = image.shape[:2]
+    panel.set_xlim(0, width_px)
+    panel.set_ylim(height_px, 0)
+    panel.set_title("the camera, and whom it found", fontsize=9)
 
 
 def _draw_distances(panel: Axes, flight: Flight, count: int, places_au: FloatArray) -> None:

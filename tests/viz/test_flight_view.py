@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import cv2
 import numpy as np
 import psutil
 import pytest
 from rerun.chunk import RrdReader
 
-from dronemon.errors import ViewError
+from dronemon.errors import RecordError, ViewError
 from dronemon.events import (
     AreaLaid,
     Believed,
@@ -42,6 +43,7 @@ from dronemon.recorder import LINE_FILES
 from dronemon.types import Detection, Measurement, Picture, Pose
 from dronemon.viz import FlightView, belief_grid_au
 from dronemon.viz.page import LivePage, find_viewer
+from dronemon.viz.recorded import picture_at
 
 AREA = AreaFrame(
     centre_ned_m=(30.0, -12.0),
@@ -204,6 +206,23 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_recording_passes_reruns_check(recording: Path) -> None:
     result = verify(recording)
     assert result.returncode == 0, result.stderr
+
+
+def test_a_picture_is_read_back_with_its_marks(recording: Path) -> None:
+    plain, marked = picture_at([recording], 99.9), picture_at([recording], 103.9)
+    assert plain is not None
+    assert marked is not None
+    images = [cv2.imdecode(np.frombuffer(p.jpeg, np.uint8), 1) for p in (plain, marked)]
+    assert [image.shape for image in images if image is not None] == [(480, 640, 3)] * 2
+    assert (plain.names, plain.detections_px.shape) == ((), (0, 2))
+    assert marked.names == ("Rusty & co/2 0.90",)
+    assert np.allclose(marked.detections_px, [[300.0, 200.0]])
+    assert len(marked.footprint_px) > 20
+    assert picture_at([recording], 101.0) is None
+    other = recording.with_name("other.rrd")
+    other.write_bytes(recording.read_bytes()[:1000][::-1])
+    with pytest.raises(RecordError, match=r"other\.rrd: cannot be read"):
+        picture_at([other], 103.9)
 
 
 def test_scalars_and_events_are_read_back_at_vehicle_time(recording: Path) -> None:
