@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from dronemon.clock import Clock
@@ -154,6 +154,7 @@ class Decided(Event):
     waypoint_au: (2,) au the waypoint
     node:        roadmap node of the waypoint, None if it is none
     num_measurements: that were known
+    attention:   what a network looked at, by `policy.Explanation`'s names, for those who watch
     """
 
     time_s: float
@@ -164,6 +165,7 @@ class Decided(Event):
     num_measurements: int
     decision_ms: float
     details: Mapping[str, object]
+    attention: Mapping[str, FloatArray | IntArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -78,6 +78,7 @@ DECIDED = Decided(
     num_measurements=1,
     decision_ms=3.5,
     details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
+    attention={"pointer": np.array([1.0])},
 )
 
 

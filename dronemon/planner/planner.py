@@ -20,6 +20,7 @@ from dronemon.types import FloatArray
 
 if TYPE_CHECKING:
     from dronemon.belief import Belief
+    from dronemon.policy import Explanation
     from dronemon.roadmap import Roadmap
     from dronemon.sightings import Sightings
 
@@ -104,6 +105,15 @@ class Planner(Protocol):
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """Where to go from here."""
+        ...
+
+
+@runtime_checkable
+class Explaining(Protocol):
+    """A planner that can say what it looked at."""
+
+    def explain(self, snapshot: Snapshot) -> tuple[Waypoint, Explanation]:
+        """Decide as `next_waypoint`; the weights of attention behind it, too."""
         ...
 
 

@@ -27,7 +27,7 @@ import math
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -166,7 +166,8 @@ class RunRecorder:
             case Measured():
                 self._append(OBSERVATIONS_FILE, self._observation(event))
             case Decided():
-                said = asdict(event) | {"wall": self._wall(event.time_s)}
+                said = asdict(replace(event, attention={})) | {"wall": self._wall(event.time_s)}
+                del said["attention"]  # too much for a line; `dronemon explain` finds it again
                 self._append(DECISIONS_FILE, said | self._ground(event.waypoint_au))
             case Noted():
                 self._append(EVENTS_FILE, self._event(event))

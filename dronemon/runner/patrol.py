@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections.abc import Mapping
 from functools import partial
 
 from dronemon.arena import ARENA
@@ -20,7 +21,7 @@ from dronemon.frames import AreaFrame, geo_to_ned
 from dronemon.guard import Action
 from dronemon.guidance import Carrot, Point
 from dronemon.json_values import json_value
-from dronemon.planner import Snapshot, Waypoint
+from dronemon.planner import Explaining, Snapshot, Waypoint
 from dronemon.planner.motion import until_measurement_au, waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.roadmap import Roadmap
@@ -31,7 +32,7 @@ from dronemon.runner.observer import Observer
 from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
 from dronemon.runner.tally import Tally
-from dronemon.types import FloatArray, Pose
+from dronemon.types import FloatArray, IntArray, Pose
 from dronemon.vehicle import Setpoint
 
 SETPOINT_INTERVAL_S = 0.05
@@ -318,7 +319,7 @@ class Patrol:
         snapshot = self._snapshot(self.tally, now_s)
         num_measurements = len(snapshot.sightings)
         began = time.perf_counter()
-        waypoint = await in_daemon_thread(
+        waypoint, attention = await in_daemon_thread(
             partial(self._decide, snapshot), f"planner '{self._setup.planner.name}'", PlannerError
         )
         decision_ms = (time.perf_counter() - began) * 1e3
@@ -333,6 +334,7 @@ class Patrol:
                 num_measurements=num_measurements,
                 decision_ms=decision_ms,
                 details=waypoint.details,
+                attention=attention,
             )
         )
         self.tally.decision_ms.append(decision_ms)
@@ -341,16 +343,23 @@ class Patrol:
         self._carrot.extend(_point(self._frame.au_to_ned(waypoint_au)))
         self._waypoint_au, self._node = waypoint_au, waypoint.node
 
-    def _decide(self, snapshot: Snapshot) -> Waypoint:
-        """The planner's choice, judged, its details as they can be recorded; runs in a thread."""
-        waypoint = self._setup.planner.next_waypoint(snapshot)
+    def _decide(self, snapshot: Snapshot) -> tuple[Waypoint, Mapping[str, FloatArray | IntArray]]:
+        """The planner's choice, judged, and what it looked at; runs in a thread.
+
+        The waypoint's details are as they can be recorded.
+        """
+        planner = self._setup.planner
+        attention: Mapping[str, FloatArray | IntArray] = {}
+        if isinstance(planner, Explaining):
+            waypoint, explanation = planner.explain(snapshot)
+            attention = explanation.arrays()
+        else:
+            waypoint = planner.next_waypoint(snapshot)
         if flaw := waypoint_flaw(waypoint, self._waypoint_au, ARENA):
-            raise PlannerError(f"planner '{self._setup.planner.name}' gave {flaw}")
-        return Waypoint(
-            position_au=ARENA.clip(waypoint.position_au),
-            node=waypoint.node,
-            details={str(name): json_value(value) for name, value in waypoint.details.items()},
-        )
+            raise PlannerError(f"planner '{planner.name}' gave {flaw}")
+        details = {str(name): json_value(value) for name, value in waypoint.details.items()}
+        position_au = ARENA.clip(waypoint.position_au)
+        return Waypoint(position_au=position_au, node=waypoint.node, details=details), attention
 
     def _snapshot(self, tally: Tally, now_s: float) -> Snapshot:
         """What the planner is told, as it will be at the waypoint that the drone is about to reach.

@@ -27,6 +27,7 @@ from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.mission import Mission
 from dronemon.palette import Rgb, target_rgb
 from dronemon.types import FloatArray, Pose
+from dronemon.viz.attention import Attention
 from dronemon.viz.entities import (
     BLUE,
     CAMERA,
@@ -74,6 +75,7 @@ class Drawing:
         self._is_grid_laid = False
         self._scene: Scene | None = None
         self._nodes_au: FloatArray | None = None
+        self._attention: Attention | None = None
         self._trail = deque[tuple[float, FloatArray, list[float]]]()
         self._trail_due_s = -np.inf
         self._seen_s: dict[int, float] = {}
@@ -254,6 +256,11 @@ class Drawing:
         )
         if self._area is not None:
             self._choices(event, self._area)
+            if event.attention and self._nodes_au is not None:
+                self._attention = self._attention or Attention(
+                    self._rec, self._names, self._nodes_au
+                )
+                self._attention.draw(event.attention)
             leg = au_to_map(np.stack([event.position_au, event.waypoint_au]), self._area)
             end = dots(leg[1:], WHITE, 4.0)
             self._rec.log("map/waypoint", lines([leg], WHITE, 1.5, order=25), end)

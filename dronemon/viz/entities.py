@@ -12,6 +12,7 @@ down in Rerun's 2D views.
     map/vehicle, map/waypoint        the drone; where it goes now
     map/choices                      ways that the planner weighed, the better the brighter
     map/furniture/...                scale, north, whose colour is whose
+    attention/...                    see `viz.attention`
     help                             words on all that
     scene/..., world/...             see `viz.scene`; the camera is CAMERA, in the scene
     plots/SERIES, plots/since_seen/NAME, plots/std/NAME
@@ -184,6 +185,7 @@ def blueprint(mission: Mission, legend_m: float) -> rrb.Blueprint:
         rrb.Tabs(
             rrb.Horizontal(maps, _instruments(), column_shares=[5, 4], name="Flight"),
             _research(names, half_m),
+            *([_attention()] if mission.planner.kind == "stamp" else []),
             rrb.TextDocumentView(origin="help", name="What is what"),
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
@@ -231,6 +233,20 @@ def _research(names: Sequence[str], half_m: float) -> rrb.Vertical:
         ),
         row_shares=[3, 2],
         name="Beliefs and decisions",
+    )
+
+
+def _attention() -> rrb.Horizontal:
+    """What the network looks at: places by head, whom, how long ago."""
+    return rrb.Horizontal(
+        rrb.Spatial2DView(origin="attention/places", name="Where each head looks"),
+        rrb.Vertical(
+            _plot("Whom it looks at (0 to 1)", "attention/whom", (0.0, 1.0)),
+            _plot("How far back it looks (au flown)", "attention/age"),
+            rrb.TextDocumentView(origin="attention/heads", name="Every head in numbers"),
+        ),
+        column_shares=[3, 2],
+        name="Attention",
     )
 
 

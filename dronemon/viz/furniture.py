@@ -35,6 +35,10 @@ sight.
 unsure that is, from 0 (just looked) to 1 (nothing known). *Soon*: the same two au of flight
 later.
 
+**Attention** (planner `stamp` alone). What the network looked at when it chose the next waypoint:
+one small map per head, in which a large bright dot is a place that counted much; the white dot is
+the drone. Beside it, which target counted how much, and how far back in its memory it looked.
+
 All times are the vehicle's.
 """
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from dronemon.events import Believed, Event, Moved, Pictured, Progressed
+from dronemon.events import Believed, Decided, Event, Moved, Pictured, Progressed
 from dronemon.mission import Mission
 from dronemon.viz.drawing import Drawing
 from dronemon.viz.entities import blueprint
@@ -128,6 +128,8 @@ class FlightView:
                 num_bytes = event.picture.image.nbytes
             case Believed():
                 num_bytes = 4 * event.mean.nbytes
+            case Decided():
+                num_bytes = sum(array.nbytes for array in event.attention.values())
         self._queue.put(event, num_bytes)
 
     def _work(self, recording: rr.RecordingStream) -> None:

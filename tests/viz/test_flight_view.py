@@ -332,6 +332,34 @@ def test_what_the_planner_weighed_is_drawn(tmp_path: Path) -> None:
     assert strips[0][1][1] == pytest.approx([east_m, -north_m], abs=1e-3)
 
 
+def test_attention_is_drawn_for_every_head(tmp_path: Path) -> None:
+    laid = area_laid()
+    rng = np.random.default_rng(10_000)
+    spatial = rng.dirichlet(np.full(len(laid.nodes_au), 0.2), (4, 3))
+    attention = {
+        "nodes": np.array([2, 5, 7]),
+        "ages_au": np.array([1.0, 0.0]),
+        "target": np.full((len(laid.nodes_au), 4, 2), 0.5),
+        "temporal": np.full((len(laid.nodes_au), 4, 2), 0.5),
+        "spatial": spatial,
+        "tracks": np.full((4, 3, 2), (0.25, 0.75)),
+        "pointer": np.array([0.4, 0.6]),
+    }
+    path = tmp_path / "flight.rrd"
+    with view(path) as shown:
+        for event in (laid, replace(decided(1.0), attention=attention), decided(2.0)):
+            shown.take(event)
+    assert (shown.dropped, shown.error) == (0, None)
+    ((_, places),) = rows(path, "/attention/places/nodes", "Points2D:positions")
+    ((_, radii),) = rows(path, "/attention/places/nodes", "Points2D:radii")
+    assert len(places) == spatial[:, 0].size
+    assert np.argmin(radii) == spatial[:, 0].argmax()  # radii on the screen are negative
+    assert rows(path, "/attention/whom/Bella", "Scalars:scalars") == [(1.0, [0.25])]
+    assert rows(path, "/attention/age", "Scalars:scalars") == [(1.0, [0.5])]
+    ((_, [table]),) = rows(path, "/attention/heads", "TextDocument:text")
+    assert "| track 4 | 25 | 75 |" in table
+
+
 def test_the_trail_fades_and_ends_after_two_minutes(tmp_path: Path) -> None:
     with view(tmp_path / "flight.rrd") as shown:
         shown.take(area_laid())
