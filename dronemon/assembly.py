@@ -20,7 +20,7 @@ from dronemon.camera import CropKeeper, FrameSource, SimulatedCamera, VideoCamer
 from dronemon.card import find_checkpoint
 from dronemon.errors import DronemonError, LinkTimeout, VehicleError
 from dronemon.events import Subscriber, TruthTold
-from dronemon.export.live import CotSender
+from dronemon.export.live import SightingSender, cot_pack, station_pack
 from dronemon.feasibility import make_planner
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
@@ -60,7 +60,9 @@ class Request:
     out:      the run folder; a new one if None
     resume:   the run folder of a flight that is to go on, instead
     cot:      where sightings are sent while it flies, udp://HOST:PORT
-    redact_m: to how many metres that says where; 0: exactly; None: to a kilometre
+    station:  of a ground station that is told of them, the same
+    has_markers: whether it is to mark them on its map
+    redact_m: to how many metres both are told where; 0: exactly; None: to a kilometre
     """
 
     follow: str | None = None
@@ -68,6 +70,8 @@ class Request:
     out: Path | None = None
     resume: Path | None = None
     cot: str | None = None
+    station: str | None = None
+    has_markers: bool = False
     redact_m: float | None = None
 
 
@@ -183,8 +187,12 @@ def _open_views(
     mission: Mission, folder: RunFolder, request: Request, stack: contextlib.AsyncExitStack
 ) -> tuple[Subscriber, ...]:
     sent = list[Subscriber]()
-    if request.cot is not None:
-        sent.append(stack.enter_context(CotSender(request.cot, mission, request.redact_m)))
+    station = station_pack(mission, has_markers=request.has_markers)
+    to_whom = ("--cot", request.cot, cot_pack(mission)), ("--station", request.station, station)
+    for option, url, pack in to_whom:
+        if url is not None:
+            sender = SightingSender(url, option, mission, pack, request.redact_m)
+            sent.append(stack.enter_context(sender))
     view = stack.enter_context(FlightView(folder.new_rrd_path(), mission))
     if view.where:
         console.print(f"live view: {view.where}", soft_wrap=True, markup=False)

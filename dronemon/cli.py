@@ -25,6 +25,7 @@ from dronemon.flight_options import (
     HistoryLength,
     HorizonAu,
     LiveView,
+    Markers,
     MissionArgument,
     NamedMission,
     PlannerKind,
@@ -35,6 +36,7 @@ from dronemon.flight_options import (
     Seed,
     Settings,
     SpeedUp,
+    StationUrl,
     StayOpen,
     Unasked,
     VehicleUrl,
@@ -127,6 +129,8 @@ def fly_command(
     settings: Settings = None,
     yes: Unasked = False,
     cot: CotUrl = None,
+    station: StationUrl = None,
+    markers: Markers = False,
     redact: Redact = None,
     stay: StayOpen = False,
 ) -> None:
@@ -138,8 +142,17 @@ def fly_command(
     from dronemon.assembly import Request, assemble_and_fly
     from dronemon.runner.summary import facts, figures
 
+    if markers and station is None:
+        raise OptionError("--markers: name the ground station, --station udp://HOST:PORT")
     request = Request(
-        follow=follow, settings=confirmed, out=out, resume=resume, cot=cot, redact_m=redact
+        follow=follow,
+        settings=confirmed,
+        out=out,
+        resume=resume,
+        cot=cot,
+        station=station,
+        has_markers=markers,
+        redact_m=redact,
     )
     result, summary, folder = asyncio.run(assemble_and_fly(checked, request))
     console.print(facts_table(checked.mission.name, facts(summary)))

@@ -77,12 +77,23 @@ CotUrl = Annotated[
         "--cot", metavar="udp://HOST:PORT", help="Send sightings there as Cursor-on-Target events."
     ),
 ]
+StationUrl = Annotated[
+    str | None,
+    typer.Option(
+        "--station",
+        metavar="udp://HOST:PORT",
+        help="Tell a ground station there, such as QGroundControl at port 14550, who is found.",
+    ),
+]
+Markers = Annotated[
+    bool, typer.Option("--markers", help="And mark every sighting on the ground station's map.")
+]
 Redact = Annotated[
     float | None,
     typer.Option(
         min=0.0,
         metavar="METRES",
-        help="To how many metres --cot says where; 0: exactly.",
+        help="To how many metres --cot and --station say where; 0: exactly.",
         show_default="1000",
     ),
 ]

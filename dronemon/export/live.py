@@ -1,9 +1,10 @@
-"""Sightings sent while it flies, as Cursor-on-Target events, one datagram each."""
+"""Sightings sent while it flies, in datagrams: Cursor-on-Target, or MAVLink to a ground station."""
 
 from __future__ import annotations
 
 import math
 import socket
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import urlsplit
@@ -14,28 +15,66 @@ from dronemon.events import AreaLaid, Event, Measured
 from dronemon.export.formats import cot_event
 from dronemon.export.story import Sighting, coarse_sighting
 from dronemon.mission import Mission
+from dronemon.vehicle.ground_station import StationMessages
 
 DEFAULT_CELL_M = 1000.0
 """What leaves the machine by network says where only to this, unless a person asks for more."""
+_SAID_AGAIN_S = 30.0
+"""A ground station is told in words of a target that was out of sight for so long: it may read
+them out."""
+Pack = Callable[[Sighting, float], Iterator[bytes]]
+"""Datagrams about a sighting, and its vehicle time in seconds."""
 
 
-class CotSender:
+def cot_pack(mission: Mission) -> Pack:
+    """A Cursor-on-Target event of each sighting."""
+
+    def pack(sighting: Sighting, _: float) -> Iterator[bytes]:
+        yield ElementTree.tostring(cot_event(mission.name, sighting), "utf-8")
+
+    return pack
+
+
+def station_pack(mission: Mission, *, has_markers: bool) -> Pack:
+    """Words on a target that comes into sight, and if asked a marker on each sighting."""
+    messages = StationMessages(mission.vehicle.system_id or 1)
+    seen_s: dict[int, float] = {}
+
+    def pack(sighting: Sighting, time_s: float) -> Iterator[bytes]:
+        number, place = sighting.number, sighting.place
+        since_s = abs(time_s - seen_s.get(number, -math.inf))
+        seen_s[number] = time_s
+        if since_s > _SAID_AGAIN_S:
+            where = f"{place.latitude_deg:.5f} {place.longitude_deg:.5f}"
+            yield messages.text(f"{sighting.target[:20]} {where} +-{sighting.error_m:.0f} m")
+        if has_markers:
+            yield messages.marker(number, sighting.target, place)
+
+    return pack
+
+
+class SightingSender:
     """Sends every sighting to `url`, udp://HOST:PORT; `dropped` counts those that did not go out.
 
+    option: that named it, for errors
+    pack:   makes datagrams of a sighting
     cell_m: places are told to this many metres; 0: exactly; None: DEFAULT_CELL_M
     """
 
-    def __init__(self, url: str, mission: Mission, cell_m: float | None = None) -> None:
+    def __init__(
+        self, url: str, option: str, mission: Mission, pack: Pack, cell_m: float | None = None
+    ) -> None:
         """Raises OptionError for what is no such address."""
-        family, self._address = _resolved(url)
+        family, self._address = _resolved(url, option)
         self._mission = mission
+        self._pack = pack
         self._cell_m = DEFAULT_CELL_M if cell_m is None else cell_m
         self._laid: AreaLaid | None = None
         self.dropped = 0
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
-    def __enter__(self) -> CotSender:
+    def __enter__(self) -> SightingSender:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -49,7 +88,8 @@ class CotSender:
             case Measured() if self._laid is not None:
                 for number, is_seen in enumerate(event.measurement.seen.tolist()):
                     if is_seen:
-                        self._send(self._sighting(event, number, self._laid))
+                        sighting = self._sighting(event, number, self._laid)
+                        self._send(self._pack(sighting, event.time_s))
 
     def _sighting(self, event: Measured, number: int, laid: AreaLaid) -> Sighting:
         target = self._mission.targets[number]
@@ -66,15 +106,15 @@ class CotSender:
         )
         return coarse_sighting(sighting, self._cell_m) if self._cell_m else sighting
 
-    def _send(self, sighting: Sighting) -> None:
-        try:
-            event = ElementTree.tostring(cot_event(self._mission.name, sighting), "utf-8")
-            self._socket.sendto(event, self._address)
-        except OSError:
-            self.dropped += 1
+    def _send(self, datagrams: Iterator[bytes]) -> None:
+        for datagram in datagrams:
+            try:
+                self._socket.sendto(datagram, self._address)
+            except OSError:
+                self.dropped += 1
 
 
-def _resolved(url: str) -> tuple[socket.AddressFamily, Any]:
+def _resolved(url: str, option: str) -> tuple[socket.AddressFamily, Any]:
     """Family and address, asked for once: no name is looked up in flight. Raises OptionError."""
     try:
         parts = urlsplit(url)
@@ -83,5 +123,5 @@ def _resolved(url: str) -> tuple[socket.AddressFamily, Any]:
             family, *_, address = found[0]
             return family, address
     except (ValueError, OSError) as exc:
-        raise OptionError(f"--cot {url}: {exc}; give udp://HOST:PORT") from exc
-    raise OptionError(f"--cot {url}: give udp://HOST:PORT, such as udp://127.0.0.1:6969")
+        raise OptionError(f"{option} {url}: {exc}; give udp://HOST:PORT") from exc
+    raise OptionError(f"{option} {url}: give udp://HOST:PORT, such as udp://127.0.0.1:6969")

@@ -23,13 +23,14 @@ import pytest
 from fake_link import ORIGIN
 from fastkml.validator import validate
 from geojson_pydantic import FeatureCollection
+from pymavlink.dialects.v20 import common as mavlink
 from small_flight import MISSION
 
 from dronemon import cli
 from dronemon.errors import DronemonError, OptionError, RecordError
 from dronemon.events import AreaLaid, Measured, Stretch
 from dronemon.export.formats import FORMATS, geojson, gpx, kml, write_all
-from dronemon.export.live import CotSender
+from dronemon.export.live import SightingSender, cot_pack, station_pack
 from dronemon.export.story import Fix, Sighting, Story, read_story, redacted
 from dronemon.frames import AreaFrame, GeoPoint, ned_to_geo
 from dronemon.mission import load_mission
@@ -237,8 +238,8 @@ class Receiver:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def next(self) -> ElementTree.Element:
-        return ElementTree.fromstring(self._socket.recv(65536))
+    def next(self) -> bytes:
+        return self._socket.recv(65536)
 
 
 @pytest.mark.parametrize("cell_m", [0.0, 1000.0])
@@ -246,11 +247,14 @@ def test_sightings_are_sent_while_it_flies(tmp_path: Path, cell_m: float) -> Non
     (tmp_path / "m.yaml").write_text(MISSION)
     mission = load_mission(tmp_path / "m.yaml").mission
     laid, measured = laid_and_measured()
-    with Receiver() as receiver, CotSender(receiver.url, mission, cell_m) as sender:
+    with (
+        Receiver() as receiver,
+        SightingSender(receiver.url, "--cot", mission, cot_pack(mission), cell_m) as sender,
+    ):
         sender.take(measured)  # nobody knows where
         sender.take(laid)
         sender.take(measured)
-        event = receiver.next()
+        event = ElementTree.fromstring(receiver.next())
         assert sender.dropped == 0
     point = event.find("point")
     assert point is not None
@@ -259,6 +263,34 @@ def test_sightings_are_sent_while_it_flies(tmp_path: Path, cell_m: float) -> Non
     assert off_m <= float(point.get("ce", ""))
     assert (off_m < 0.02) == (cell_m == 0.0)
     assert event.get("uid") == "dronemon.Reserve & <north>.Bella <1>"
+
+
+def test_a_ground_station_is_told_once_of_each_contact_and_marks_every_sighting(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "m.yaml").write_text(MISSION)
+    mission = load_mission(tmp_path / "m.yaml").mission
+    laid, measured = laid_and_measured()
+    pack = station_pack(mission, has_markers=True)
+    reader = mavlink.MAVLink(None)
+    with (
+        Receiver() as receiver,
+        SightingSender(receiver.url, "--station", mission, pack, 0.0) as sender,
+    ):
+        sender.take(laid)
+        for time_s in (4.0, 8.0, 38.5):
+            sender.take(replace(measured, time_s=time_s))
+        heard = [reader.parse_char(receiver.next()) for _ in range(5)]
+        assert sender.dropped == 0
+    kinds = ["STATUSTEXT", "ADSB_VEHICLE", "ADSB_VEHICLE", "STATUSTEXT", "ADSB_VEHICLE"]
+    assert [message.get_type() for message in heard] == kinds
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in heard} == {(1, 191)}
+    place = ned_to_geo((*laid.area.au_to_ned(np.array([0.3, 0.55])), 0.0), laid.origin)
+    words = f"Bella <1> {place.latitude_deg:.5f} {place.longitude_deg:.5f} +-2 m"
+    assert heard[0].text == words
+    marker = heard[1]
+    assert away_m(marker.lon / 1e7, marker.lat / 1e7, place) < 0.02
+    assert (marker.callsign, marker.ICAO_address) == ("Bella <1", 0xF00000)
 
 
 def laid_and_measured() -> tuple[AreaLaid, Measured]:
@@ -308,5 +340,6 @@ def laid_and_measured() -> tuple[AreaLaid, Measured]:
 )
 def test_where_to_send_is_checked(url: str, tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text(MISSION)
+    mission = load_mission(tmp_path / "m.yaml").mission
     with pytest.raises(OptionError, match="give udp://HOST:PORT"):
-        CotSender(url, load_mission(tmp_path / "m.yaml").mission)
+        SightingSender(url, "--cot", mission, cot_pack(mission))
