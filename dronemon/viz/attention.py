@@ -32,6 +32,7 @@ class Attention:
         self._rec = rec
         self._names = names
         self._nodes = nodes_au * (1.0, -1.0)  # y points down
+        self._is_laid = False
         for number, name in enumerate(names):
             style = rr.SeriesLines(colors=target_rgb(number), names=name, widths=2.0)
             rec.log(path("attention", "whom", name), style, static=True)
@@ -62,15 +63,19 @@ class Attention:
         """
         columns = math.ceil(math.sqrt(len(shares)))
         offsets = [_APART * np.array([h % columns, h // columns]) for h in range(len(shares))]
-        places = np.concatenate([self._nodes + offset for offset in offsets])
+        if not self._is_laid:
+            self._is_laid = True
+            places = np.concatenate([self._nodes + offset for offset in offsets])
+            self._rec.log("attention/places/nodes", rr.Points2D(places), static=True)
+            outline = ARENA.outline_au * (1.0, -1.0)
+            labels = [f"head {head + 1}" for head in range(len(shares))]
+            borders = lines([outline + o for o in offsets], DARK, 1.0, order=5, labels=labels)
+            self._rec.log("attention/places/border", borders, static=True)
         much = np.sqrt(shares).ravel()
         rgba = [(*BLUE, round(40 + 215 * m)) for m in much]
         radii = rr.Radius.ui_points(1.0 + _LARGEST * much)
-        self._rec.log("attention/places/nodes", rr.Points2D(places, colors=rgba, radii=radii))
-        outline = ARENA.outline_au * (1.0, -1.0)
-        labels = [f"head {head + 1}" for head in range(len(shares))]
-        borders = lines([outline + o for o in offsets], DARK, 1.0, order=5, labels=labels)
-        self._rec.log("attention/places/border", borders)
+        looks = rr.Points2D.from_fields(colors=rgba, radii=radii)
+        self._rec.log("attention/places/nodes", looks)
         drone = dots([self._nodes[here] + offset for offset in offsets], WHITE, 4.0, order=60)
         self._rec.log("attention/places/drone", drone)
 
