@@ -7,7 +7,6 @@ apt-get install mesa-vulkan-drivers libvulkan1 libgl1-mesa-dri libegl1
 from __future__ import annotations
 
 import argparse
-import socket
 import time
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from rerun.experimental import ViewerClient
 from dronemon.mission import load_mission
 from dronemon.recorder import MISSION_FILE, RunFolder
 from dronemon.viz.entities import TIMELINE
+from dronemon.viz.page import free_port, rerun_program
 
 DOCS = Path(__file__).parent
 WIDTH_PX = 1600
@@ -35,7 +35,12 @@ def main() -> None:
     folder = RunFolder.open(options.run)
     mission = load_mission(options.run / MISSION_FILE).mission
     start_s = next(event["start_s"] for event in folder.events() if "start_s" in event)
-    with ViewerClient.spawn(headless=True, port=_free_port(), hide_welcome_screen=True) as viewer:
+    with ViewerClient.spawn(
+        headless=True,
+        port=free_port(9876),
+        hide_welcome_screen=True,
+        executable_path=rerun_program(),
+    ) as viewer:
         viewer.open(str(folder.rrd_path.absolute()))
         viewer.set_time(
             TIMELINE,
@@ -56,13 +61,6 @@ def _still_picture(viewer: ViewerClient) -> bytes:
             return png
         before = picture
     raise TimeoutError(f"the viewer was still drawing after {LIMIT_S:g} s")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 if __name__ == "__main__":

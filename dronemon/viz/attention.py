@@ -22,7 +22,9 @@ from dronemon.viz.entities import BLUE, DARK, WHITE, dots, lines, path
 _APART = 1.15
 """Between the maps of two heads, in their sides."""
 _LARGEST = 12.0
-"""Radius of a place that has all the attention, on the screen."""
+"""Radius of the place that a head looks at most, on the screen."""
+_TITLE = np.array([0.5, -1.06])
+"""Where a head's name is written: above its map."""
 
 
 class Attention:
@@ -57,7 +59,7 @@ class Attention:
             self._rec.log("attention/age", rr.Scalars(age_au))
 
     def _draw_places(self, shares: FloatArray, here: int) -> None:
-        """A map of each head: the larger and brighter a node, the more it is looked at.
+        """A map of each head: the larger and brighter a node, the more it looks there.
 
         shares: (H, V)
         """
@@ -68,10 +70,12 @@ class Attention:
             places = np.concatenate([self._nodes + offset for offset in offsets])
             self._rec.log("attention/places/nodes", rr.Points2D(places), static=True)
             outline = ARENA.outline_au * (1.0, -1.0)
-            labels = [f"head {head + 1}" for head in range(len(shares))]
-            borders = lines([outline + o for o in offsets], DARK, 1.0, order=5, labels=labels)
+            borders = lines([outline + offset for offset in offsets], DARK, 1.0, order=5)
             self._rec.log("attention/places/border", borders, static=True)
-        much = np.sqrt(shares).ravel()
+            labels = [f"head {head + 1}" for head in range(len(shares))]
+            titles = dots([_TITLE + offset for offset in offsets], WHITE, 0.5, labels=labels)
+            self._rec.log("attention/places/titles", titles, static=True)
+        much = np.sqrt(shares / shares.max(1, keepdims=True)).ravel()
         rgba = [(*BLUE, round(40 + 215 * m)) for m in much]
         radii = rr.Radius.ui_points(1.0 + _LARGEST * much)
         looks = rr.Points2D.from_fields(colors=rgba, radii=radii)

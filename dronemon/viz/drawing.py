@@ -91,7 +91,8 @@ class Drawing:
             for kind in ("since_seen", "std"):
                 self._rec.log(path("plots", kind, name), style, static=True)
         for key, title in SERIES.items():
-            style = rr.SeriesLines(colors=BLUE, names=title, widths=1.5)
+            color = GREY if key == "battery_needed" else BLUE
+            style = rr.SeriesLines(colors=color, names=title, widths=1.5)
             self._rec.log(f"plots/{key}", style, static=True)
 
     def draw(self, event: Event) -> None:

@@ -65,12 +65,12 @@ def find_viewer(data_port: int, other_port: str) -> Viewer:
         )
     ports = ("--bind", LOOPBACK, "--port", str(data_port))
     if _has_display():
-        return Viewer((_rerun_program(), *ports), None)
-    page_port = _free_port(PAGE_PORT)
+        return Viewer((rerun_program(), *ports), None)
+    page_port = free_port(PAGE_PORT)
     source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
     serving = ("--serve-web", "--web-viewer-port", str(page_port))
     return Viewer(
-        (_rerun_program(), *ports, *serving, "--server-memory-limit", SERVER_MEMORY),
+        (rerun_program(), *ports, *serving, "--server-memory-limit", SERVER_MEMORY),
         f"http://{LOOPBACK}:{page_port}/?theme=dark&url={source}",
     )
 
@@ -147,7 +147,8 @@ def _is_free(port: int) -> bool:
     return True
 
 
-def _free_port(preferred: int) -> int:
+def free_port(preferred: int) -> int:
+    """A free port of loopback: the preferred one if it is."""
     if _is_free(preferred):
         return preferred
     with socket.socket() as probe:
@@ -156,7 +157,8 @@ def _free_port(preferred: int) -> int:
     return port
 
 
-def _rerun_program() -> str:
+def rerun_program() -> str:
+    """Path of the viewer that comes with rerun-sdk. Raises ViewError."""
     package = find_spec("rerun_cli")
     folders = package.submodule_search_locations if package else None
     for folder in folders or ():

@@ -353,7 +353,8 @@ def test_attention_is_drawn_for_every_head(tmp_path: Path) -> None:
     ((_, places),) = rows(path, "/attention/places/nodes", "Points2D:positions")
     ((_, radii),) = rows(path, "/attention/places/nodes", "Points2D:radii")
     assert len(places) == spatial[:, 0].size
-    assert np.argmin(radii) == spatial[:, 0].argmax()  # radii on the screen are negative
+    by_head = np.reshape(radii, spatial[:, 0].shape)
+    assert (by_head.argmin(1) == spatial[:, 0].argmax(1)).all()  # on the screen: negative
     assert rows(path, "/attention/whom/Bella", "Scalars:scalars") == [(1.0, [0.25])]
     assert rows(path, "/attention/age", "Scalars:scalars") == [(1.0, [0.5])]
     ((_, [table]),) = rows(path, "/attention/heads", "TextDocument:text")
