@@ -1,6 +1,7 @@
 """Makes the pictures of README and docs from a run: `python docs/pictures.py RUN [--at AU]`.
 
-README's is of `dronemon fly animals --horizon-au 13 --out RUN`, at 9.56 au. Needs what draws without a screen:
+README's is of `dronemon fly animals --horizon-au 13 --out RUN`, at 9.56 au.
+Needs what draws without a screen:
 apt-get install mesa-vulkan-drivers libvulkan1 libgl1-mesa-dri libegl1
 """
 
