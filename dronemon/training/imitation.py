@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -72,20 +72,6 @@ _NO_CARD = Card(recipe="expert", command="", commit="", date="", seeds="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Focus:
-    """What lessons are about towards the end, when the student knows how it will fly.
-
-    begins: at this share of the imitation; the rest as in `ExpertConfig`
-    """
-
-    begins: Share = 1.0
-    round_episodes: Count = 16
-    num_nodes: Counts = (150, 250)
-    num_targets: Counts = (2, 8)
-    priors: Priors = ("full",)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ExpertConfig:
     """Settings of the recipe; ranges are inclusive, episodes count over all processes.
 
@@ -99,7 +85,6 @@ class ExpertConfig:
     temperature:     of the soft targets, as a share of a decision's largest gain
     imitation_share: of the time budget, before PPO
     symmetries:      learn each episode in the eight ways of seeing the square
-    focus:           what the last rounds' lessons are about, instead
     teacher_drawn:   effort of each of the teacher's planners
     teacher_refined: the same
     """
@@ -126,20 +111,12 @@ class ExpertConfig:
     history: Counts = (50, 100)
     num_targets: Counts = (2, 8)
     priors: Priors = ("full",)
-    focus: Focus = Focus()
     finish: PpoConfig = FINISH
 
     @property
     def value_weight(self) -> float:
         """Of the value's loss beside the policy's; without PPO nobody needs the value."""
         return 0.05 if self.imitation_share < 1.0 else 0.01
-
-    def at(self, progress: float) -> ExpertConfig:
-        """The settings of a round. progress: of the imitation, 0 to 1."""
-        if progress < self.focus.begins:
-            return self
-        names = (field.name for field in fields(Focus) if field.name != "begins")
-        return replace(self, **{name: getattr(self.focus, name) for name in names})
 
     def taught_share(self, number: int) -> float:
         """Share of a round's episodes that the teacher flies."""
@@ -193,20 +170,19 @@ class Expert:
         """A round of lessons and the updates after it, or an iteration of PPO."""
         if progress >= self.config.imitation_share:
             return self._finish.iterate(progress)
-        imitated = progress / self.config.imitation_share
         began = time.perf_counter()
-        taken = self._take_lessons(self.config.at(imitated))
+        taken = self._take_lessons()
         self._lessons += taken
         played = time.perf_counter()
-        metrics = self._learn(imitated)
+        metrics = self._learn(progress / self.config.imitation_share)
         metrics["episodes"] = float(sum(len(lesson.gains) for lesson in self._lessons))
         rollouts = [lesson.rollout for lesson in taken]
         common = progress_of(rollouts, self._peers, began, played)
         return metrics | _judgement(taken) | common
 
-    def _take_lessons(self, config: ExpertConfig) -> list[Lesson]:
+    def _take_lessons(self) -> list[Lesson]:
         """Own share of a round, given by worker processes; each lesson is a file."""
-        number, size = len(self._files), self._peers.size
+        config, number, size = self.config, len(self._files), self._peers.size
         self._folder.mkdir(parents=True, exist_ok=True)
         student = self._folder / f"student-{self._peers.rank}.pt"
         save_checkpoint(student, self.network, _NO_CARD)

@@ -13,7 +13,7 @@ from torch import Tensor
 from dronemon.env import Setup
 from dronemon.planner.settings import SearchSettings
 from dronemon.policy import NetworkConfig, PolicyNetwork, read_tensors
-from dronemon.training.imitation import Expert, ExpertConfig, Focus, _judgement
+from dronemon.training.imitation import Expert, ExpertConfig, _judgement
 from dronemon.training.lessons import Lesson, teach
 from dronemon.training.peers import Peers
 
@@ -84,16 +84,6 @@ def test_the_teacher_flies_less_from_round_to_round() -> None:
     assert shares == [1.0, 1.0, 0.5, 0.5, 0.15, 0.15]
 
 
-def test_the_last_lessons_are_about_what_the_focus_says() -> None:
-    focus = Focus(begins=0.8, round_episodes=32, num_nodes=(150, 250), num_targets=(3, 4))
-    config = ExpertConfig(num_nodes=(50, 400), priors=("number", "none"), focus=focus)
-    assert config.at(0.79) == config
-    assert config.at(0.8) == replace(
-        config, round_episodes=32, num_nodes=(150, 250), num_targets=(3, 4), priors=("full",)
-    )
-    assert CONFIG.at(0.99) == CONFIG
-
-
 def test_regret_is_a_share_of_the_largest_gain(lessons: list[Lesson]) -> None:
     lesson = lessons[0]
     logits = torch.full_like(lesson.rollout.logits, -torch.inf)
@@ -114,7 +104,7 @@ def give_round(folder: Path, *, workers: int) -> Expert:
         teacher_refined=10,
     )
     expert = make_expert(folder, config, num_workers=workers)
-    expert._take_lessons(config)
+    expert._take_lessons()
     return expert
 
 

@@ -47,7 +47,7 @@ def test_the_shipped_recipes_are_the_papers_ours_and_that_of_the_shipped_weights
     now, then = recipe.facts["settings"], dict(shipped.card.settings)
     finish = then.pop("finish")
     assert isinstance(finish, dict)
-    younger = {"priors", "focus", "normalise_advantages", "averaging"}  # than the weights
+    younger = {"priors", "normalise_advantages", "averaging"}  # than the weights
     assert {n: v for n, v in now.items() if n not in younger | {"finish"}} == then
     assert {n: v for n, v in now["finish"].items() if n not in younger} == finish
     assert recipe.scope == shipped.card.scope
