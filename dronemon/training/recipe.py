@@ -49,7 +49,7 @@ class Recipe:
             num_targets=how.num_targets,
             num_nodes=how.num_nodes,
             speed_ratio=speeds,
-            priors=how.priors,
+            priors=tuple(dict.fromkeys(how.priors)),
         )
 
     @property
