@@ -21,7 +21,7 @@ from dronemon.frames import AreaFrame, geo_to_ned
 from dronemon.guard import Action
 from dronemon.guidance import Carrot, Point
 from dronemon.json_values import json_value
-from dronemon.planner import Explaining, Snapshot, Waypoint
+from dronemon.planner import Snapshot, Waypoint, decide
 from dronemon.planner.motion import until_measurement_au, waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.roadmap import Roadmap
@@ -349,12 +349,7 @@ class Patrol:
         The waypoint's details are as they can be recorded.
         """
         planner = self._setup.planner
-        attention: Mapping[str, FloatArray | IntArray] = {}
-        if isinstance(planner, Explaining):
-            waypoint, explanation = planner.explain(snapshot)
-            attention = explanation.arrays()
-        else:
-            waypoint = planner.next_waypoint(snapshot)
+        waypoint, attention = decide(planner, snapshot)
         if flaw := waypoint_flaw(waypoint, self._waypoint_au, ARENA):
             raise PlannerError(f"planner '{planner.name}' gave {flaw}")
         details = {str(name): json_value(value) for name, value in waypoint.details.items()}

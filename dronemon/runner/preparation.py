@@ -20,7 +20,7 @@ from dronemon.camera import FrameSource
 from dronemon.errors import CameraError, DronemonError, PlannerError, blaming
 from dronemon.events import Subscriber
 from dronemon.mission import Mission, MissionFile
-from dronemon.planner import Briefing, Planner, Snapshot
+from dronemon.planner import Briefing, Planner, Snapshot, decide
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.history import History
@@ -131,7 +131,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         remaining_au=mission.horizon_au,
     )
     with blaming(who, PlannerError):
-        planner.next_waypoint(snapshot)
+        decide(planner, snapshot)
 
 
 def try_detector(mission: Mission, detector: Detector) -> None:
