@@ -11,6 +11,7 @@ from datagrams import datagrams
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronemon.errors import VehicleError
 from dronemon.vehicle import Mode
 from dronemon.vehicle.telemetry import Telemetry
 
@@ -50,6 +51,15 @@ def test_any_datagrams_leave_the_link_whole(num_batches, capfd):
         await link.next_pose()
         await asyncio.to_thread(check)
         assert link.state.num_unreadable > num_batches
+        num_calm = 0
+        while num_calm < 3:
+            try:
+                await link.next_pose()
+                num_calm += 1
+            except VehicleError as said:  # rightly: nonsense of its own id, stamped beside its own
+                if "two vehicles of one system id are heard" not in str(said):
+                    raise
+                num_calm = 0
         await link.wait_until(lambda: link.state.mode is Mode.HOLD, "it holds as it did", 30.0)
         await link.hold()
         assert not listening.done()
