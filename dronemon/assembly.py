@@ -19,8 +19,8 @@ import numpy as np
 from dronemon.camera import CropKeeper, FrameSource, SimulatedCamera, VideoCamera
 from dronemon.card import find_checkpoint
 from dronemon.errors import DronemonError, LinkTimeout, VehicleError
-from dronemon.events import Subscriber, TruthTold
-from dronemon.export.live import SightingSender, cot_pack, station_pack
+from dronemon.events import AreaLaid, Audience, TruthTold, Watcher
+from dronemon.export.live import Pack, SightingSender, cot_pack, station_pack
 from dronemon.feasibility import make_planner
 from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
@@ -39,7 +39,7 @@ from dronemon.runner.interrupts import Interrupted
 from dronemon.runner.relay import Relay
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, Truth, simulator
-from dronemon.terminal import FlightDisplay, console, print_error
+from dronemon.terminal import FlightDisplay, console, print_error, print_warning
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.vision.detector import Detector
@@ -168,7 +168,7 @@ async def _with_everything(
                 detector=detector,
                 planner=planner,
                 recorder=recorder,
-                watchers=_open_views(file.mission, recorder.folder, request, stack),
+                audience=_open_views(file.mission, recorder.folder, request, stack),
                 interrupts=interrupts,
                 settings=request.settings,
                 folder=recorder.folder.path,
@@ -180,24 +180,29 @@ async def _with_everything(
             raise
         result = _failed_after(result, exc)
     assert result is not None  # or it was raised
+    for what in run.audience.losses():
+        print_warning(f"left out: {what}")
     return result, truth.told
 
 
 def _open_views(
     mission: Mission, folder: RunFolder, request: Request, stack: contextlib.AsyncExitStack
-) -> tuple[Subscriber, ...]:
-    sent = list[Subscriber]()
-    station = station_pack(mission, has_markers=request.has_markers)
-    to_whom = ("--cot", request.cot, cot_pack(mission)), ("--station", request.station, station)
-    for option, url, pack in to_whom:
+) -> Audience:
+    sent = list[Watcher]()
+    to_whom: tuple[tuple[str, str | None, Callable[[AreaLaid], Pack]], ...] = (
+        ("--cot", request.cot, partial(cot_pack, mission)),
+        ("--station", request.station, partial(station_pack, has_markers=request.has_markers)),
+    )
+    for option, url, packing in to_whom:
         if url is not None:
-            sender = SightingSender(url, option, mission, pack, request.redact_m)
+            sender = SightingSender(url, option, mission, packing, request.redact_m)
             sent.append(stack.enter_context(sender))
+            console.print(f"{option}: sightings go to {sender.where}", soft_wrap=True, markup=False)
     view = stack.enter_context(FlightView(folder.new_rrd_path(), mission))
     if view.where:
         console.print(f"live view: {view.where}", soft_wrap=True, markup=False)
     crops = stack.enter_context(CropKeeper(folder.path, mission))
-    return *sent, view, crops, stack.enter_context(FlightDisplay(console))
+    return Audience((*sent, view, crops, stack.enter_context(FlightDisplay(console))))
 
 
 async def assemble_and_inspect(
@@ -224,7 +229,7 @@ async def assemble_and_inspect(
             detector=make_detector(mission),
             planner=planner,
             recorder=recorder,
-            watchers=(),
+            audience=Audience(),
             interrupts=Interrupts(),
             settings=request.settings,
             folder=_existing(request.out or Path()),
@@ -246,7 +251,7 @@ class _Run:
 
     sim:    None where nothing is simulated
     folder: on whose disk the record must have room
-    truth:  where the simulator has the targets; the flight's watchers are told, nobody else is
+    truth:  where the simulator has the targets; its audience is told, nobody else is
     """
 
     file: MissionFile
@@ -254,7 +259,7 @@ class _Run:
     detector: Detector
     planner: Planner
     recorder: RunRecorder
-    watchers: tuple[Subscriber, ...]
+    audience: Audience
     interrupts: Interrupts
     settings: Mapping[str, float]
     folder: Path
@@ -270,7 +275,7 @@ class _Run:
             planner=self.planner,
             priors_au=self._priors_au(),
             record=self.recorder,
-            watchers=self.watchers,
+            audience=self.audience,
             interrupts=self.interrupts,
             settings=self.settings,
             folder=self.folder,
@@ -345,8 +350,7 @@ class _Run:
     def _tell_truth(self) -> None:
         """Tell what the simulator has written since it was asked last."""
         for told in self.truth.read_on():
-            for watcher in self.watchers:
-                watcher.take(told)
+            self.audience.take(told)
 
     def _priors_au(self) -> FloatArray:
         """Known positions of the targets. -> (N, 2) au, NaN where unknown."""

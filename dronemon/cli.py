@@ -54,6 +54,7 @@ from dronemon.terminal import (
 if TYPE_CHECKING:
     from dronemon.mission import MissionFile
     from dronemon.preflight import Finding
+    from dronemon.runner import FlightResult
 
 # Nearly all is slow to import, and so imported by the command that needs it.
 
@@ -159,15 +160,25 @@ def fly_command(
     if told := figures(summary.as_json()):
         console.print(facts_table("for researchers", told))
     (console.print if result.is_landed else print_error)(result.last_word)
+    code = _exit_code(result)
     if stay:
         from dronemon.viewing import show
 
-        show(folder, checked.mission.view.port, "set another view.port in the mission")
+        try:
+            show(folder, checked.mission.view.port, "set another view.port in the mission")
+        except DronemonError as exc:
+            print_error(str(exc))
+            code = code or exc.exit_code
+    raise typer.Exit(code)
+
+
+def _exit_code(result: FlightResult) -> int:
+    """What the shell is told of a flight."""
     if result.error is not None:  # told when it happened
-        raise typer.Exit(result.error.exit_code)
+        return result.error.exit_code
     if not result.is_landed:
-        raise typer.Exit(VehicleError.exit_code)
-    raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else 0)
+        return VehicleError.exit_code
+    return INTERRUPTED if result.outcome == "interrupted" else 0
 
 
 @app.command("preflight")
@@ -216,7 +227,7 @@ def _tell_findings(findings: Iterable[Finding]) -> None:
         mend = mending_options([finding])
         text = f"{finding}; mended by {mend}" if mend else str(finding)
         line = Text.assemble((f"{verdict:<9}", _VERDICT_STYLES[verdict]), text)
-        console.print(line, soft_wrap=True)
+        console.print(line, soft_wrap=not console.is_terminal)
 
 
 @app.command()

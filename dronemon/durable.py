@@ -145,8 +145,12 @@ def replace_text(path: Path, text: str) -> None:
     part = path.with_name(f".{path.name}.part")
     with contextlib.suppress(FileNotFoundError):
         part.unlink()
-    write_new(part, text)
-    part.replace(path)
+    try:
+        write_new(part, text)
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
     sync_folder(path.parent)
 
 

@@ -2,15 +2,16 @@
 
 The critical subscriber, the record, comes first: what it is told goes to the disk at once, and its
 failure ends the flight. Nobody waits for a disk or a terminal: a drone flies meanwhile. All others
-get what they can: one that raises is counted, never heard.
+are its audience and get what they can: one that raises is counted, never heard, and each says at
+the end what it lost.
 A new fact is a class here and a case in the subscriber that wants it.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from dronemon.clock import Clock
@@ -62,12 +63,14 @@ class Progressed(Event):
 class AreaLaid(Event):
     """The area lies over the ground, and the roadmap in it.
 
-    origin:      of the vehicle's local frame
+    system_id:   the vehicle's
+    origin:      of its local frame
     fence_ned_m: (n, 2) corners of the fence around it, north and east
     nodes_au:    (V, 2) au places of the nodes
     edges:       (E, 2) int node numbers
     """
 
+    system_id: int
     area: AreaFrame
     origin: GeoPoint
     footprint_radius_m: float
@@ -85,8 +88,12 @@ class Moved(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pictured(Event):
-    """A picture, what was found in it, and the pose that it was taken from."""
+    """A picture, what was found in it, and the pose that it was taken from.
 
+    number: of its measurement
+    """
+
+    number: int
     picture: Picture
     detections: Sequence[Detection]
     pose: Pose
@@ -115,11 +122,13 @@ class Stretch:
 class Measured(Event):
     """What the sensor said about all targets.
 
+    number:  of the measurement in the run, from 1
     score:   (N,) confidence of each target seen, NaN where it was not
     pose:    that the picture was taken from
     error_m: radius about the place of a target seen in which it truly is, in 95 of 100
     """
 
+    number: int
     time_s: float
     measurement: Measurement
     score: FloatArray
@@ -132,40 +141,46 @@ class Measured(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Believed(Event):
-    """The posteriors of all targets on the grid of the view.
+    """What is believed from now on until the next measurement.
 
-    mean: (N, G, G) expected presence
-    std:  (N, G, G) its standard deviation
-    mean_later, std_later: the same PREDICTION_AU later, when nobody looks until then
+    posterior: of all targets; (Q, 3) au x, y, t -> mean, std, both (N, Q). It is fitted by whoever
+    asks, in its own thread
     """
 
     time_s: float
-    mean: FloatArray
-    std: FloatArray
-    mean_later: FloatArray
-    std_later: FloatArray
+    time_au: float
+    posterior: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decided(Event):
     """A choice of the planner.
 
+    flown_au, remaining_au: as the planner was told, see `Snapshot`
     position_au: (2,) au where the leg to the waypoint begins
     waypoint_au: (2,) au the waypoint
     node:        roadmap node of the waypoint, None if it is none
     num_measurements: that were known
-    attention:   what a network looked at, by `policy.Explanation`'s names, for those who watch
     """
 
     time_s: float
     time_au: float
+    flown_au: float
+    remaining_au: float
     position_au: FloatArray
     waypoint_au: FloatArray
     node: int | None
     num_measurements: int
     decision_ms: float
     details: Mapping[str, object]
-    attention: Mapping[str, FloatArray | IntArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attended(Event):
+    """What the network looked at for the last choice, by `policy.Explanation`'s names."""
+
+    time_s: float
+    weights: Mapping[str, FloatArray | IntArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,20 +202,54 @@ class Subscriber(Protocol):
         ...
 
 
+class Watcher(Subscriber, Protocol):
+    """A subscriber that the flight does without."""
+
+    @property
+    def lost(self) -> str:
+        """What was not shown, sent or kept, in words; empty for nothing."""
+        ...
+
+
+class Audience:
+    """Everybody but the record: no failure of theirs is the flight's."""
+
+    def __init__(self, watchers: Sequence[Watcher] = ()) -> None:
+        self._watchers = tuple(watchers)
+        self._num_failed = 0
+        self._told = set[str]()
+
+    def take(self, event: Event) -> None:
+        """Tell everybody an event."""
+        for watcher in self._watchers:
+            try:
+                watcher.take(event)
+            except (Exception, SystemExit):  # noqa: BLE001 - rich makes one of a closed pipe
+                self._num_failed += 1
+
+    def losses(self) -> list[str]:
+        """What was lost and not yet told here."""
+        lost = [watcher.lost for watcher in self._watchers]
+        if self._num_failed:
+            lost.append(f"{self._num_failed} events that a watcher failed at")
+        untold = [what for what in lost if what and what not in self._told]
+        self._told.update(untold)
+        return untold
+
+
 class EventStream:
-    """Tells one flight's events to the record and to all others.
+    """Tells one flight's events to the record and to its audience.
 
     While `must_go_on`, on the way home or when the pilot flies, a record that cannot be written is
-    only counted by the recorder. `dropped` counts the events that another subscriber failed at.
+    only counted by the recorder.
     """
 
-    def __init__(self, record: Subscriber, others: Sequence[Subscriber], clock: Clock) -> None:
+    def __init__(self, record: Subscriber, audience: Audience, clock: Clock) -> None:
         self._record = record
-        self._others = tuple(others)
+        self._audience = audience
         self._clock = clock
         self._time_s: float | None = None
         self.must_go_on = False
-        self.dropped = 0
 
     def emit(self, event: Event) -> None:
         """Tell an event. Raises RecordError if it cannot be recorded."""
@@ -210,11 +259,7 @@ class EventStream:
             if not self.must_go_on:
                 raise
         finally:
-            for other in self._others:
-                try:
-                    other.take(event)
-                except (Exception, SystemExit):  # noqa: BLE001 - rich makes one of a closed pipe
-                    self.dropped += 1
+            self._audience.take(event)
 
     def note(self, kind: str, text: str, *, level: Level = "INFO", **fields: object) -> None:
         """Tell what happened in words. Raises RecordError if it cannot be recorded."""

@@ -14,6 +14,8 @@ import typer
 from dronemon.errors import OptionError
 
 DEFAULT_MISSION = "animals"
+MOST_CELL_M = 1e6
+"""Places are told at least so exactly."""
 
 MissionArgument = Annotated[
     str | None,
@@ -92,9 +94,23 @@ Redact = Annotated[
     float | None,
     typer.Option(
         min=0.0,
+        max=MOST_CELL_M,
         metavar="METRES",
         help="To how many metres --cot and --station say where; 0: exactly.",
         show_default="1000",
+    ),
+]
+
+
+RedactOption = Annotated[
+    float | None,
+    typer.Option(
+        "--redact",
+        min=1.0,
+        max=MOST_CELL_M,
+        metavar="METRES",
+        help="Give places only to this many metres, and no pictures: who hunts reads maps, too.",
+        show_default="exact",
     ),
 ]
 

@@ -151,7 +151,7 @@ class Truth:
 
     def read_on(self) -> list[TruthTold]:
         """Read what was written since the last time. -> that"""
-        with contextlib.suppress(FileNotFoundError), self._path.open("rb") as file:
+        with contextlib.suppress(OSError), self._path.open("rb") as file:
             file.seek(self._num_bytes)
             whole, end, _ = file.read().rpartition(b"\n")
             self._num_bytes += len(whole) + len(end)
@@ -163,7 +163,7 @@ class Truth:
 
 def _truth_told(lines: Iterable[bytes]) -> Iterator[TruthTold]:
     for line in lines:
-        with contextlib.suppress(ValueError):  # a simulator was killed while it wrote
+        with contextlib.suppress(LookupError, TypeError, ValueError):  # it was killed meanwhile
             record = json.loads(line)
             places_au = np.array(record["targets_au"])
             yield TruthTold(time_s=record["time_s"], targets_au=places_au)

@@ -113,12 +113,15 @@ class FlightDisplay:
         self._thread.join(_CLOSE_S)
 
     def take(self, event: Event) -> None:
-        """Show what a person wants to know of it; errors go to standard error.
+        """Show what a person wants to know of it; errors go to standard error."""
+        if isinstance(event, Progressed | Noted):
+            self._queue.put(event)
 
-        Raises BufferError if the terminal has stood still for long.
-        """
-        if isinstance(event, Progressed | Noted) and not self._queue.put(event):
-            raise BufferError("the terminal stands still")
+    @property
+    def lost(self) -> str:
+        """How many lines a terminal that stood still did not take."""
+        number = self._queue.dropped
+        return f"{number} lines that the terminal had no time for" if number else ""
 
     def _work(self) -> None:
         if self._console.is_terminal:

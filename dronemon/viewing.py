@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import signal
 import subprocess
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from dronemon.errors import RecordError, ViewError
 from dronemon.flight_options import RunArgument
 from dronemon.mission.schema import View
 from dronemon.recorder import RunFolder
-from dronemon.terminal import console
+from dronemon.terminal import console, print_warning
 from dronemon.viz.page import find_viewer
 
 _PORT = View().port
@@ -32,12 +32,21 @@ def show(folder: RunFolder, port: int, other_port: str) -> None:
     recordings = [folder.path / name for name in folder.recordings()]
     if not recordings:
         raise RecordError(f"{folder.path}: no recording: the flight ended before one was begun")
+    for name in {path.name for path in recordings} & set(folder.damaged_files()):
+        print_warning(f"{folder.path / name} is not as the flight left it")
     viewer = find_viewer(port, other_port)
-    console.print(f"{viewer.where}; Ctrl-C ends it", soft_wrap=True, markup=False)
+    console.print(viewer.where, soft_wrap=True, markup=False)
+    console.print("Ctrl-C ends it")
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
     program = subprocess.Popen(
         [*viewer.command, *recordings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
-    with contextlib.suppress(KeyboardInterrupt):
-        if status := program.wait():
+    try:
+        status = program.wait()
+    except KeyboardInterrupt:
+        program.terminate()
+        program.wait()
+    else:
+        if status:
             raise ViewError(f"the Rerun viewer ended with status {status}")
-    program.wait()  # Ctrl-C is for it, too

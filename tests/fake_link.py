@@ -284,6 +284,10 @@ class FakeLink:
         )
 
     @property
+    def system_id(self) -> int:
+        return 1
+
+    @property
     def state(self) -> VehicleState:
         return self._state
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from dronemon import assembly
+from dronemon import assembly, cli
 from dronemon.assembly import Request, assemble_and_fly
-from dronemon.errors import LinkTimeout
+from dronemon.errors import CameraError, LinkTimeout, VehicleError, ViewError
+from dronemon.events import Audience
 from dronemon.mission import load_mission
+from dronemon.recorder import RunFolder
 from dronemon.runner import FlightResult
 from dronemon.runner.flight import DOWN
 from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.summary import summarise
 
 RESULT = FlightResult(
     outcome="completed",
@@ -55,7 +59,7 @@ def test_a_person_need_not_wait_until_a_vehicle_is_heard(monkeypatch):
         detector=None,
         planner=None,
         recorder=None,
-        watchers=(),
+        audience=Audience(),
         interrupts=interrupts,
         settings={},
         folder=None,
@@ -67,7 +71,7 @@ def test_a_person_need_not_wait_until_a_vehicle_is_heard(monkeypatch):
 
 @contextlib.contextmanager
 def fails_to_close(*_):
-    yield SimpleNamespace(where=None, take=lambda event: None)
+    yield SimpleNamespace(where=None, lost="", take=lambda event: None)
     raise OSError("it is gone")
 
 
@@ -98,3 +102,33 @@ def test_what_fails_after_a_flight_is_told_beside_its_result(tmp_path, monkeypat
     assert (result.outcome, result.last_word) == ("completed", DOWN)
     assert "it is gone" in str(result.error) or "IndexError" in str(result.error)
     assert summary.error == str(result.error)
+
+
+@pytest.mark.parametrize(
+    ("result", "code"),
+    [
+        (RESULT, ViewError.exit_code),
+        (replace(RESULT, outcome="interrupted"), 130),
+        (replace(RESULT, error=CameraError("blind")), CameraError.exit_code),
+        (replace(RESULT, is_landed=False), VehicleError.exit_code),
+    ],
+)
+def test_a_viewer_that_fails_afterwards_hides_nothing_of_the_flight(
+    tmp_path, monkeypatch, capsys, result, code
+):
+    async def flown(*_):
+        summary = summarise(result, truth=(), mission=None, place_of=lambda _: None)
+        return result, summary, RunFolder(path=tmp_path)
+
+    def fails(*_):
+        raise ViewError("port 9876 is taken")
+
+    path = tmp_path / "small.yaml"
+    path.write_text(MISSION)
+    monkeypatch.setattr(assembly, "assemble_and_fly", flown)
+    monkeypatch.setattr("dronemon.viewing.show", fails)
+    monkeypatch.setattr("sys.argv", ["dronemon", "fly", str(path), "--stay"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == code
+    assert "port 9876 is taken" in capsys.readouterr().err

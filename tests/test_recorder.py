@@ -60,6 +60,7 @@ def measurement(time_au: float = 0.1) -> Measurement:
 
 
 MEASURED = Measured(
+    number=1,
     time_s=4.0,
     measurement=measurement(),
     score=np.array([0.9, np.nan]),
@@ -72,13 +73,14 @@ MEASURED = Measured(
 DECIDED = Decided(
     time_s=4.5,
     time_au=0.12,
+    flown_au=0.11,
+    remaining_au=2.9,
     position_au=np.array([0.25, 0.5]),
     waypoint_au=np.array([0.4, 0.6]),
     node=17,
     num_measurements=1,
     decision_ms=3.5,
     details={"gain": np.array([1.0, np.inf]), "path": [1, 2]},
-    attention={"pointer": np.array([1.0])},
 )
 
 
@@ -102,6 +104,7 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
     assert Mission.model_validate(yaml.safe_load(folder.mission_text())) == MISSION
     (observation,) = folder.observations()
     assert observation == {
+        "number": 1,
         "time_s": 4.0,
         "wall": observation["wall"],
         "time_au": 0.1,
@@ -145,6 +148,7 @@ def test_lines_say_where_on_the_globe(tmp_path: Path, origin: tuple[float, float
         cruise_speed_m_s=5.0,
     )
     laid = AreaLaid(
+        system_id=1,
         area=area,
         origin=GeoPoint(latitude_deg=origin[0], longitude_deg=origin[1], altitude_m=400.0),
         footprint_radius_m=10.0,

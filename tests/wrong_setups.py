@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dronemon.events import Audience
 from dronemon.mission import load_mission
 from dronemon.preflight import PARAMETERS, Sight
 from dronemon.runner import FlightSetup, Interrupts
@@ -53,7 +54,7 @@ async def ask(link: VehicleLink) -> str:
         planner=None,
         priors_au=nothing,
         record=None,
-        watchers=(),
+        audience=Audience(),
         interrupts=Interrupts(),
     )
     findings = await find(setup, Sight(wait_s=0.1, age_s=0.1), frame=None)

@@ -7,6 +7,7 @@ of one, for flight and planners. Both give the same windows, which a test holds 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from torch import Tensor
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.kernel import Matern32
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_AU
-from dronemon.sightings import Sightings
+from dronemon.sightings import Sightings, Window
 from dronemon.types import FloatArray
 
 _CAPACITY = math.ceil(WINDOW_AU / MEASUREMENT_INTERVAL_AU)
@@ -103,8 +104,7 @@ class Belief:
         """The fitted processes, of shape (1, N)."""
         if self._posterior is None or self._num_read < len(self.sightings):
             window = self.sightings.window(self.kernel.window_au, self.num_targets)
-            points, values, mask = (torch.as_tensor(array)[None] for array in window)
-            self._posterior = fit(points, values, mask, kernel=self.kernel)
+            self._posterior = _fit(window, self.kernel)
             self._num_read = len(self.sightings)
         return self._posterior
 
@@ -114,10 +114,24 @@ class Belief:
         query_au: (Q, 3) float64 au x, y, t
         -> mean, std, both (N, Q)
         """
-        mean, std = self.process.predict(torch.as_tensor(query_au, dtype=torch.float64))
-        return mean[0].numpy(), std[0].numpy()
+        return _predict(self.process, query_au)
+
+    def posterior_of_now(self) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
+        """`posterior` as it is now, whatever is seen later; it is fitted when it is called."""
+        window = self.sightings.window(self.kernel.window_au, self.num_targets)
+        return lambda query_au: _predict(_fit(window, self.kernel), query_au)
 
     def mean(self, query_au: FloatArray) -> FloatArray:
         """Posterior mean alone. query_au: (Q, 3) float64 au x, y, t -> (N, Q)."""
         mean = self.process.mean(torch.as_tensor(query_au, dtype=torch.float64))
         return mean[0].numpy()
+
+
+def _fit(window: Window, kernel: Matern32) -> Posterior:
+    points, values, mask = (torch.as_tensor(array)[None] for array in window)
+    return fit(points, values, mask, kernel=kernel)
+
+
+def _predict(process: Posterior, query_au: FloatArray) -> tuple[FloatArray, FloatArray]:
+    mean, std = process.predict(torch.as_tensor(query_au, dtype=torch.float64))
+    return mean[0].numpy(), std[0].numpy()

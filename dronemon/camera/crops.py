@@ -1,6 +1,6 @@
 """Of each sighting, the part of the picture that shows it, as a small JPEG in the run folder.
 
-A thread writes them; when it falls behind, or the disk takes none, crops are dropped and counted.
+A thread writes them; when it falls behind, or the disk takes none, crops are lost and counted.
 """
 
 from __future__ import annotations
@@ -26,14 +26,17 @@ _MAX_WAITING = 64
 _FINISH_S = 5.0
 
 
-def crop_path(run: Path, time_s: float, number: int, name: str) -> Path:
-    """Where a run keeps the crop of a target seen at a vehicle time. number: among the targets."""
+def crop_path(run: Path, number: int, target: int, name: str) -> Path:
+    """Where a run keeps the crop of a target seen.
+
+    number: of the measurement; target: among the mission's, from 0
+    """
     slug = re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower()[:40]
-    return run / CROPS_FOLDER / f"{time_s:010.2f}-{number + 1}-{slug}.jpg"
+    return run / CROPS_FOLDER / f"{number:05d}-{target + 1}-{slug}.jpg"
 
 
 class CropKeeper:
-    """Keeps the crops of one flight; `with` opens and closes it. `dropped`: how many were not kept.
+    """Keeps the crops of one flight; `with` opens and closes it.
 
     The folder is made with the first one.
     """
@@ -47,9 +50,10 @@ class CropKeeper:
         self._worker = threading.Thread(target=self._work, name="crops", daemon=True)
 
     @property
-    def dropped(self) -> int:
-        """Number of crops that were not kept."""
-        return self._queue.dropped + self._num_failed
+    def lost(self) -> str:
+        """How many crops were not kept."""
+        number = self._queue.dropped + self._num_failed
+        return f"{number} crops of sightings" if number else ""
 
     def __enter__(self) -> Self:
         self._worker.start()
@@ -64,11 +68,11 @@ class CropKeeper:
         match event:
             case Measured(measurement=measurement):
                 self._seen = measurement.seen.tolist()
-            case Pictured(picture=picture, detections=detections):
+            case Pictured(number=number, picture=picture, detections=detections):
                 best = {d.appearance: d for d in sorted(detections, key=lambda d: d.score)}
-                for number, (name, appearance) in enumerate(self._targets):
-                    if self._seen[number]:
-                        path = crop_path(self._run, picture.time_s, number, name)
+                for target, (name, appearance) in enumerate(self._targets):
+                    if self._seen[target]:
+                        path = crop_path(self._run, number, target, name)
                         self._queue.put((path, _around(picture.image, best[appearance].pixel_px)))
 
     def _work(self) -> None:

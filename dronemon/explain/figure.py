@@ -16,11 +16,10 @@ from matplotlib.patheffects import withStroke
 
 from dronemon.arena import ARENA
 from dronemon.explain.replay import Replay
+from dronemon.palette import on_paper
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import FloatArray
 
-COLOURS = colormaps["tab10"]
-"""Of targets; `HEADS` are of heads."""
 HEADS = colormaps["Dark2"]
 _TOLD = 0.1
 """Probability from which a neighbour's is written beside it."""
@@ -151,7 +150,7 @@ def _draw_ownership(panel: Axes, replay: Replay) -> None:
     whom, even = shares.argmax(1), 1.0 / shares.shape[1]
     excess = shares.max(1) - even
     excess /= max(float(excess.max()), 1e-9)
-    colours = np.array([COLOURS(int(target) % 10) for target in whom])
+    colours = np.array([(*on_paper(int(target)), 1.0) for target in whom])
     colours[:, 3] = 0.25 + 0.75 * excess
     east_au, north_au = replay.nodes_au.T
     panel.scatter(east_au, north_au, c=colours, s=15.0 + 90.0 * excess, linewidths=0.0)
@@ -166,8 +165,8 @@ def _draw_last_places(panel: Axes, replay: Replay) -> None:
     for target, (name, place_au, ago) in enumerate(known):
         if not np.isfinite(place_au).all():
             continue
-        colour = COLOURS(target % 10)
-        (cross,) = panel.plot(*place_au, "X", color=colour, label=f"{name}, {ago}")
+        colour = on_paper(target)
+        (cross,) = panel.plot(*place_au, "X", color=colour, label=f"{ago}: {name}")
         cross.set(markersize=10, markeredgecolor="white")
         panel.add_patch(
             Circle(

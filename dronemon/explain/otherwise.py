@@ -14,8 +14,8 @@ import typer
 from matplotlib.figure import Figure
 
 from dronemon.arena import ARENA
-from dronemon.errors import OptionError, PlannerError, RecordError, blaming
-from dronemon.explain.replay import snapshot_at
+from dronemon.errors import OptionError, PlannerError, blaming
+from dronemon.explain.decisions import begin_anew, read_decisions
 from dronemon.feasibility import make_planner
 from dronemon.flight_options import RunArgument
 from dronemon.mission import Mission, load_mission
@@ -23,8 +23,6 @@ from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Planner, Snapshot
 from dronemon.planner.motion import waypoint_flaw
 from dronemon.recorder import MISSION_FILE, RunFolder
-from dronemon.runner.history import recorded, understanding
-from dronemon.runner.preparation import brief, draw_start_and_roadmap, make_belief
 from dronemon.terminal import console, facts_table
 from dronemon.types import FloatArray
 
@@ -46,21 +44,21 @@ class Choices:
     """Both choices at each of D decisions.
 
     times_au:       (D,)   when; places_au: (D, 2) where
-    flown_au:       (D, 2) the waypoint flown to
+    flown_to_au:    (D, 2) the waypoint chosen in flight
     otherwise_au:   (D, 2) the other planner's
     decision_ms:    (D,)   how long it took
     """
 
     times_au: FloatArray
     places_au: FloatArray
-    flown_au: FloatArray
+    flown_to_au: FloatArray
     otherwise_au: FloatArray
     decision_ms: FloatArray
 
     @property
     def apart_au(self) -> FloatArray:
         """(D,) between the two waypoints."""
-        apart: FloatArray = np.hypot(*(self.flown_au - self.otherwise_au).T)
+        apart: FloatArray = np.hypot(*(self.flown_to_au - self.otherwise_au).T)
         return apart
 
 
@@ -75,7 +73,7 @@ def replay_command(
     folder = RunFolder.open(run)
     mission = load_mission(run / MISSION_FILE).mission
     section = PlannerSection(kind=planner, checkpoint=checkpoint)
-    choices = decide_otherwise(folder, mission, make_planner(section))
+    choices = decide_otherwise(folder, make_planner(section))
     try:
         to.mkdir(parents=True, exist_ok=True)
         _write(choices, to / "replay.csv")
@@ -88,32 +86,16 @@ def replay_command(
     console.print(f"{to / 'replay.png'} and .csv", soft_wrap=True, markup=False)
 
 
-def decide_otherwise(folder: RunFolder, mission: Mission, planner: Planner) -> Choices:
+def decide_otherwise(folder: RunFolder, planner: Planner) -> Choices:
     """Ask a planner at each decision of a run. Raises RecordError, PlannerError."""
-    with understanding(folder):
-        lines = list(folder.decisions())
-        sightings, measurements = recorded(folder, mission)
-        if not lines:
-            raise RecordError(f"{folder.path}: no decision was made in this run")
-        if lines[-1]["num_measurements"] > len(measurements):
-            raise RecordError(f"{folder.path}: not all pictures that it knew are recorded")
-    start_au, roadmap = draw_start_and_roadmap(mission)
-    belief = make_belief(mission, sightings)
-    with blaming(f"planner '{planner.name}'", PlannerError):
-        planner.reset(brief(mission, sightings.priors_au, start_au, stream="planner"), roadmap)
-    answers, node = [], 0
-    for line in lines:
-        for measurement in measurements[len(sightings) : line["num_measurements"]]:
-            sightings.add(measurement)
-        position_au = np.array(line["position_au"])
-        snapshot = snapshot_at(line["time_au"], position_au, node, belief, roadmap, mission)
-        answers.append(_ask(planner, snapshot))
-        node = line["node"]
+    decisions = read_decisions(folder)
+    made = decisions.made
+    answers = [_ask(planner, snapshot) for _, snapshot in begin_anew(planner, decisions, made)]
     waypoints_au, took_ms = zip(*answers, strict=True)
     return Choices(
-        times_au=np.array([line["time_au"] for line in lines]),
-        places_au=np.array([line["position_au"] for line in lines]),
-        flown_au=np.array([line["waypoint_au"] for line in lines]),
+        times_au=np.array([decision.time_au for decision in made]),
+        places_au=np.array([decision.position_au for decision in made]),
+        flown_to_au=np.array([decision.waypoint_au for decision in made]),
         otherwise_au=np.array(waypoints_au),
         decision_ms=np.array(took_ms),
     )
@@ -158,7 +140,7 @@ def _write(choices: Choices, path: Path) -> None:
         [
             choices.times_au,
             choices.places_au,
-            choices.flown_au,
+            choices.flown_to_au,
             choices.otherwise_au,
             choices.decision_ms,
         ]
@@ -175,7 +157,7 @@ def _draw(choices: Choices, mission: Mission, name: str) -> Figure:
     panel = figure.add_subplot()
     panel.plot(*ARENA.outline_au.T, color="0.3", linewidth=1.0)
     legs = zip(
-        choices.places_au, choices.flown_au, choices.otherwise_au, choices.apart_au, strict=True
+        choices.places_au, choices.flown_to_au, choices.otherwise_au, choices.apart_au, strict=True
     )
     for place_au, flown_au, other_au, apart_au in legs:
         panel.plot(*np.stack([place_au, flown_au]).T, color="0.65", linewidth=1.0)
@@ -186,8 +168,9 @@ def _draw(choices: Choices, mission: Mission, name: str) -> Figure:
                 place_au,
                 arrowprops={"arrowstyle": "->", "color": "tab:blue", "linewidth": 0.7},
             )
-    panel.plot([], [], color="0.65", label=f"flown ({mission.planner.kind})")
-    panel.plot([], [], color="tab:blue", label=f"otherwise ({name})")
+    panel.plot([], [], color="0.65", label=f"where {mission.planner.kind} flew")
+    panel.plot([], [], color="tab:blue", label=f"where {name} would have gone from there")
+    panel.set_title(f"{mission.name}: each decision of a flight, made again", fontsize=10)
     panel.set_aspect("equal")
     panel.set_axis_off()
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, frameon=False)

@@ -35,11 +35,17 @@ def video_command(run: RunArgument, to: ToOption, rate: RateOption = 6.0) -> Non
         raise OptionError(f"--to {to}: is there already; choose another name")
     count, replays = replay_all(RunFolder.open(run))
     frames = (_frame(replay) for replay in track(replays, "drawing", total=count, console=console))
+    part = to.with_name(f".part-{to.name}")
     try:
         to.parent.mkdir(parents=True, exist_ok=True)
-        (_write_gif if to.suffix == ".gif" else _write_mp4)(frames, to, rate)
+        (_write_gif if to.suffix == ".gif" else _write_mp4)(frames, part, rate)
+        if to.suffix == ".mp4" and _num_frames(part) != count:  # OpenCV tells of no full disk
+            raise OSError("not all of it could be written; is the disk full?")
+        part.replace(to)
     except OSError as exc:
         raise OptionError(f"--to {to}: cannot be written: {exc.strerror or exc}") from exc
+    finally:
+        part.unlink(missing_ok=True)
     console.print(to, soft_wrap=True, markup=False, highlight=False)
 
 
@@ -47,6 +53,7 @@ def _frame(replay: Replay) -> ImageArray:
     """(H, W, 3) uint8 RGB, of an even size, as films want it."""
     figure = Figure(figsize=_SIZE_IN, layout="constrained")
     draw_maps(figure, replay)
+    figure.suptitle(f"Decision {replay.number}, at {replay.time_au:.1f} au")
     file = io.BytesIO()
     figure.savefig(file, format="raw", dpi=_DPI)
     width, height = (round(side * _DPI) for side in _SIZE_IN)
@@ -66,6 +73,13 @@ def _write_mp4(frames: Iterator[ImageArray], path: Path, rate: float) -> None:
             film.write(frame[..., ::-1])
     finally:
         film.release()
+
+
+def _num_frames(path: Path) -> int:
+    film = cv2.VideoCapture(str(path))
+    count = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
+    film.release()
+    return count
 
 
 def _write_gif(frames: Iterator[ImageArray], path: Path, rate: float) -> None:

@@ -10,21 +10,11 @@ import typer
 from dronemon.errors import OptionError
 from dronemon.export.formats import FORMATS, write_all
 from dronemon.export.story import read_story, redacted
-from dronemon.flight_options import RunArgument
+from dronemon.flight_options import RedactOption, RunArgument
 from dronemon.recorder import RunFolder
 from dronemon.terminal import console
 
 ToOption = Annotated[Path, typer.Option("--to", help="Folder for the files.", show_default=False)]
-RedactOption = Annotated[
-    float | None,
-    typer.Option(
-        "--redact",
-        min=1.0,
-        metavar="METRES",
-        help="Give places only to this many metres, and no pictures: who hunts reads maps, too.",
-        show_default="exact",
-    ),
-]
 
 
 def export_command(run: RunArgument, to: ToOption, redact: RedactOption = None) -> None:
@@ -41,8 +31,6 @@ def export_command(run: RunArgument, to: ToOption, redact: RedactOption = None) 
     for path in written:
         console.print(path, soft_wrap=True, markup=False, highlight=False)
     num_targets = len({sighting.target for sighting in story.sightings})
-    console.print(
-        f"{len(story.sightings)} sightings of {num_targets} targets, {len(story.track)} places of"
-        " the drone",
-        highlight=False,
-    )
+    told = {"sighting": len(story.sightings), "target": num_targets, "place": len(story.track)}
+    seen, targets, places = (f"{n} {word}{'' if n == 1 else 's'}" for word, n in told.items())
+    console.print(f"{seen} of {targets}, {places} of the drone", highlight=False)

@@ -43,7 +43,7 @@ def geojson(story: Story) -> bytes:
     features = []
     if story.corners:
         area = shapely.Polygon(_unwound(story.corners))
-        features.append(_feature(area, kind="area", name=story.name))
+        features.append(_feature(area, kind="area", name=story.title))
     if len(story.track) > 1:
         places = [fix.place for fix in story.track]
         times = {"began": _iso(story.track[0].time), "ended": _iso(story.track[-1].time)}
@@ -69,25 +69,27 @@ def table(story: Story) -> bytes:
 
 def gpx(story: Story) -> bytes:
     """The track, and a waypoint per sighting."""
-    root = _element(f"{{{GPX}}}gpx", version="1.1", creator=CREATOR)
+    root = ElementTree.Element(f"{{{GPX}}}gpx", version="1.1", creator=CREATOR)
+    has_height = not story.cell_m
     for sighting in story.sightings:
-        point = _gpx_point(root, "wpt", sighting.place, sighting.time)
+        point = _gpx_point(root, "wpt", sighting.place, sighting.time, has_height)
         _text(point, f"{{{GPX}}}name", sighting.target)
         _text(point, f"{{{GPX}}}desc", _words(sighting))
     track = ElementTree.SubElement(root, f"{{{GPX}}}trk")
-    _text(track, f"{{{GPX}}}name", story.name)
+    _text(track, f"{{{GPX}}}name", story.title)
     segment = ElementTree.SubElement(track, f"{{{GPX}}}trkseg")
     for fix in story.track:
-        _gpx_point(segment, "trkpt", fix.place, fix.time)
+        _gpx_point(segment, "trkpt", fix.place, fix.time, has_height)
     return _document(root, {"": GPX})
 
 
 def _gpx_point(
-    parent: ElementTree.Element, tag: str, place: GeoPoint, time: datetime
+    parent: ElementTree.Element, tag: str, place: GeoPoint, time: datetime, has_height: bool
 ) -> ElementTree.Element:
     where = {"lat": f"{place.latitude_deg:.7f}", "lon": f"{place.longitude_deg:.7f}"}
     point = ElementTree.SubElement(parent, f"{{{GPX}}}{tag}", where)
-    _text(point, f"{{{GPX}}}ele", f"{place.altitude_m:.2f}")
+    if has_height:
+        _text(point, f"{{{GPX}}}ele", f"{place.altitude_m:.2f}")
     _text(point, f"{{{GPX}}}time", _iso(time))
     return point
 
@@ -98,17 +100,17 @@ def kmz(story: Story) -> bytes:
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("doc.kml", kml(story))
         for crop in (sighting.crop for sighting in story.sightings if sighting.crop):
-            archive.write(crop, f"pictures/{crop.name}")
+            archive.writestr(f"pictures/{crop.name}", crop.read_bytes())
     return file.getvalue()
 
 
 def kml(story: Story) -> bytes:
     """Area, track and sightings, the latter with times for the slider and a picture each."""
-    root = _element(f"{{{KML}}}kml")
+    root = ElementTree.Element(f"{{{KML}}}kml")
     document = ElementTree.SubElement(root, f"{{{KML}}}Document")
-    _text(document, f"{{{KML}}}name", story.name)
+    _text(document, f"{{{KML}}}name", story.title)
     for number in sorted({sighting.number for sighting in story.sightings}):
-        style = _element(f"{{{KML}}}Style", document, id=f"target-{number}")
+        style = ElementTree.SubElement(document, f"{{{KML}}}Style", id=f"target-{number}")
         icon = ElementTree.SubElement(style, f"{{{KML}}}IconStyle")
         _text(icon, f"{{{KML}}}color", _kml_color(number))
     if story.corners:
@@ -165,14 +167,14 @@ def _description(sighting: Sighting) -> str:
 def cot(story: Story) -> bytes:
     """The newest sighting of each target, as one document of Cursor-on-Target events."""
     newest = {sighting.target: sighting for sighting in story.sightings}
-    root = _element("events")
+    root = ElementTree.Element("events")
     root.extend(cot_event(story.name, sighting) for sighting in newest.values())
     return _document(root, {})
 
 
 def cot_event(run: str, sighting: Sighting) -> ElementTree.Element:
     """One sighting as a Cursor-on-Target event: neutral, on the ground, found by a machine."""
-    event = _element(
+    event = ElementTree.Element(
         "event",
         version="2.0",
         uid=f"{CREATOR}.{run}.{sighting.target}",
@@ -254,14 +256,6 @@ def _iso(time: datetime) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%S.") + f"{time.microsecond // 1000:03d}Z"
 
 
-def _element(
-    tag: str, parent: ElementTree.Element | None = None, **attributes: str
-) -> ElementTree.Element:
-    if parent is None:
-        return ElementTree.Element(tag, attributes)
-    return ElementTree.SubElement(parent, tag, attributes)
-
-
 def _text(parent: ElementTree.Element, tag: str, text: str) -> None:
     ElementTree.SubElement(parent, tag).text = text
 
@@ -276,12 +270,18 @@ def _document(root: ElementTree.Element, prefixes: dict[str, str]) -> bytes:
 
 def write_all(story: Story, folder: Path) -> list[Path]:
     """Write every format and the pictures into a folder. -> the files. Raises OSError."""
-    folder.mkdir(parents=True, exist_ok=True)
+    contents = {folder / name: make(story) for name, make in FORMATS.items()}
     written = []
-    for name, make in FORMATS.items():
-        (folder / name).write_bytes(make(story))
-        written.append(folder / name)
-    for crop in (sighting.crop for sighting in story.sightings if sighting.crop):
-        (folder / "pictures").mkdir(exist_ok=True)
-        (folder / "pictures" / crop.name).write_bytes(crop.read_bytes())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for crop in (sighting.crop for sighting in story.sightings if sighting.crop):
+            (folder / "pictures").mkdir(exist_ok=True)
+            (folder / "pictures" / crop.name).write_bytes(crop.read_bytes())
+        for path, content in contents.items():
+            written.append(path)
+            path.write_bytes(content)
+    except OSError:
+        for path in written:  # half of it would look like all, and hold up the next try
+            path.unlink(missing_ok=True)
+        raise
     return written

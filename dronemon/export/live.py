@@ -26,7 +26,7 @@ Pack = Callable[[Sighting, float], Iterator[bytes]]
 """Datagrams about a sighting, and its vehicle time in seconds."""
 
 
-def cot_pack(mission: Mission) -> Pack:
+def cot_pack(mission: Mission, _: AreaLaid) -> Pack:
     """A Cursor-on-Target event of each sighting."""
 
     def pack(sighting: Sighting, _: float) -> Iterator[bytes]:
@@ -35,9 +35,9 @@ def cot_pack(mission: Mission) -> Pack:
     return pack
 
 
-def station_pack(mission: Mission, *, has_markers: bool) -> Pack:
+def station_pack(laid: AreaLaid, *, has_markers: bool) -> Pack:
     """Words on a target that comes into sight, and if asked a marker on each sighting."""
-    messages = StationMessages(mission.vehicle.system_id or 1)
+    messages = StationMessages(laid.system_id)
     seen_s: dict[int, float] = {}
 
     def pack(sighting: Sighting, time_s: float) -> Iterator[bytes]:
@@ -45,7 +45,8 @@ def station_pack(mission: Mission, *, has_markers: bool) -> Pack:
         since_s = abs(time_s - seen_s.get(number, -math.inf))
         seen_s[number] = time_s
         if since_s > _SAID_AGAIN_S:
-            where = f"{place.latitude_deg:.5f} {place.longitude_deg:.5f}"
+            digits = max(0, 5 - round(math.log10(max(sighting.error_m, 1.0))))  # 1e-5 deg: 1 m
+            where = f"{place.latitude_deg:.{digits}f} {place.longitude_deg:.{digits}f}"
             yield messages.text(f"{sighting.target[:20]} {where} +-{sighting.error_m:.0f} m")
         if has_markers:
             yield messages.marker(number, sighting.target, place)
@@ -54,24 +55,31 @@ def station_pack(mission: Mission, *, has_markers: bool) -> Pack:
 
 
 class SightingSender:
-    """Sends every sighting to `url`, udp://HOST:PORT; `dropped` counts those that did not go out.
+    """Sends every sighting to `url`, udp://HOST:PORT.
 
     option: that named it, for errors
-    pack:   makes datagrams of a sighting
+    packing: how to make datagrams of sightings once the area is laid
     cell_m: places are told to this many metres; 0: exactly; None: DEFAULT_CELL_M
     """
 
     def __init__(
-        self, url: str, option: str, mission: Mission, pack: Pack, cell_m: float | None = None
+        self,
+        url: str,
+        option: str,
+        mission: Mission,
+        packing: Callable[[AreaLaid], Pack],
+        cell_m: float | None = None,
     ) -> None:
         """Raises OptionError for what is no such address."""
         family, self._address = _resolved(url, option)
+        self._url = url
         self._mission = mission
-        self._pack = pack
+        self._packing = packing
         self._cell_m = DEFAULT_CELL_M if cell_m is None else cell_m
-        self._laid: AreaLaid | None = None
-        self.dropped = 0
+        self._laid: tuple[AreaLaid, Pack] | None = None
+        self._num_lost = 0
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self._socket.setblocking(False)
 
     def __enter__(self) -> SightingSender:
@@ -80,16 +88,27 @@ class SightingSender:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
+    @property
+    def where(self) -> str:
+        """Where it sends to, and how exactly, in words."""
+        told = f"to {self._cell_m:g} m (exactly with --redact 0)" if self._cell_m else "exactly"
+        return f"{self._url}, places {told}"
+
+    @property
+    def lost(self) -> str:
+        """How many messages did not go out."""
+        return f"{self._num_lost} messages to {self._url}" if self._num_lost else ""
+
     def take(self, event: Event) -> None:
         """Send what was seen."""
         match event:
             case AreaLaid():
-                self._laid = event
+                self._laid = event, self._packing(event)
             case Measured() if self._laid is not None:
+                laid, pack = self._laid
                 for number, is_seen in enumerate(event.measurement.seen.tolist()):
                     if is_seen:
-                        sighting = self._sighting(event, number, self._laid)
-                        self._send(self._pack(sighting, event.time_s))
+                        self._send(pack(self._sighting(event, number, laid), event.time_s))
 
     def _sighting(self, event: Measured, number: int, laid: AreaLaid) -> Sighting:
         target = self._mission.targets[number]
@@ -111,7 +130,7 @@ class SightingSender:
             try:
                 self._socket.sendto(datagram, self._address)
             except OSError:
-                self.dropped += 1
+                self._num_lost += 1
 
 
 def _resolved(url: str, option: str) -> tuple[socket.AddressFamily, Any]:

@@ -9,12 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dronemon.arena import ARENA
 from dronemon.camera import crop_path
 from dronemon.errors import RecordError
-from dronemon.frames import GeoPoint, ned_to_geo
+from dronemon.frames import GeoPoint
 from dronemon.mission import Mission, load_mission
 from dronemon.recorder import MISSION_FILE, RunFolder
 from dronemon.runner.history import Laid, understanding
@@ -55,14 +53,16 @@ class Sighting:
 class Story:
     """A run on the globe; all times are UTC.
 
+    title:   the mission's name, and what a reader must know of the rest
     corners: of the area, as a walk around it that ends where it began
-    home:    where it was armed, None if it never was
+    cell_m:  to which places are told; 0: exactly, with heights
     """
 
     name: str
+    title: str
     started: datetime
+    cell_m: float
     corners: tuple[GeoPoint, ...]
-    home: GeoPoint | None
     track: tuple[Fix, ...]
     sightings: tuple[Sighting, ...]
 
@@ -71,19 +71,18 @@ def read_story(folder: RunFolder) -> Story:
     """Read a run, finished or not. Raises RecordError if it has no places."""
     mission = load_mission(folder.path / MISSION_FILE).mission
     with understanding(folder):
-        events = list(folder.events())
-        laid = [Laid.told_by(event) for event in events if event["kind"] == "ready"]
+        laid = [Laid.told_by(event) for event in folder.events() if event["kind"] == "ready"]
         if not laid:
             raise RecordError(
                 f"{folder.path}: its area was never laid over the ground, so nothing of it can be"
                 " put on a map"
             )
-        armed = [event for event in events if event["kind"] == "armed"]
         return Story(
             name=mission.name,
+            title=mission.name + (f" ({how})" if (how := simulated(mission)) else ""),
             started=_utc(folder.summary()["started"]),
+            cell_m=0.0,
             corners=tuple(_corners(laid[-1])),
-            home=ned_to_geo(np.array(armed[-1]["home_ned_m"]), laid[-1].origin) if armed else None,
             track=tuple(
                 Fix(time=_utc(pose["wall"]), place=GeoPoint(**pose["place"]))
                 for pose in folder.poses()
@@ -96,6 +95,13 @@ def read_story(folder: RunFolder) -> Story:
         )
 
 
+def simulated(mission: Mission) -> str:
+    """What of a flight was simulated, in words; empty for nothing."""
+    if mission.vehicle.is_mock:
+        return f"simulated, at {mission.vehicle.speed_up:g} times real time"
+    return "with simulated targets" if mission.camera.is_simulated else ""
+
+
 def _corners(laid: Laid) -> list[GeoPoint]:
     return [laid.frame.au_to_geo(corner_au, laid.origin) for corner_au in ARENA.outline_au]
 
@@ -106,7 +112,7 @@ def _sightings(run: Path, line: Mapping[str, Any], mission: Mission) -> list[Sig
         told = line["targets"][target.name]
         if not told["seen"]:
             continue
-        crop = crop_path(run, line["time_s"], number, target.name)
+        crop = crop_path(run, line["number"], number, target.name)
         found.append(
             Sighting(
                 number=number,
@@ -136,7 +142,7 @@ def coarse(place: GeoPoint, cell_m: float) -> GeoPoint:
     longitude_deg = (math.floor(place.longitude_deg / column_deg) + 0.5) * column_deg
     return GeoPoint(
         latitude_deg=max(-90.0, min(90.0, latitude_deg)),
-        longitude_deg=max(-180.0, min(180.0, longitude_deg)),
+        longitude_deg=(longitude_deg + 180.0) % 360.0 - 180.0,
     )
 
 
@@ -148,16 +154,15 @@ def coarse_sighting(sighting: Sighting, cell_m: float) -> Sighting:
 
 
 def redacted(story: Story, cell_m: float) -> Story:
-    """The same story, coarse: what keeps endangered animals from those who would hunt them."""
-    track: list[Fix] = []
-    for fix in story.track:
-        place = coarse(fix.place, cell_m)
-        if not track or place != track[-1].place:
-            track.append(replace(fix, place=place))
+    """The same story, coarse: what keeps endangered animals from those who would hunt them.
+
+    Without the track: when it came into the next cell, the drone was at that cell's edge.
+    """
     return replace(
         story,
+        title=f"{story.title}, places to {cell_m:g} m",
+        cell_m=cell_m,
         corners=(),
-        home=None,
-        track=tuple(track),
+        track=(),
         sightings=tuple(coarse_sighting(sighting, cell_m) for sighting in story.sightings),
     )

@@ -3,23 +3,23 @@
 from dronemon.planner.planner import (
     Briefing,
     Clairvoyant,
+    Explaining,
     Planner,
     Snapshot,
     TargetsAt,
     Waypoint,
-    decide,
 )
 from dronemon.planner.registry import create_planner, has_weights, planner_names
 
 __all__ = [
     "Briefing",
     "Clairvoyant",
+    "Explaining",
     "Planner",
     "Snapshot",
     "TargetsAt",
     "Waypoint",
     "create_planner",
-    "decide",
     "has_weights",
     "planner_names",
 ]

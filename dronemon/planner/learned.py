@@ -78,13 +78,13 @@ class LearnedPlanner:
         And how many decisions were made since `reset`, this one counted.
         """
         node, seen = self._look(snapshot)
-        return self._choose(node, self._memory.decide(*seen))
+        verdict, self._explanations = explain(self._memory, *seen)
+        return self._choose(node, verdict)
 
-    def explain(self, snapshot: Snapshot) -> tuple[Waypoint, Explanation]:
-        """Decide as `next_waypoint`; the weights of attention behind it, too."""
-        node, seen = self._look(snapshot)
-        verdict, (explanation,) = explain(self._memory, *seen)
-        return self._choose(node, verdict), explanation
+    def explanation(self) -> Explanation:
+        """The weights of attention behind the newest waypoint."""
+        (explanation,) = self._explanations()
+        return explanation
 
     def _look(self, snapshot: Snapshot) -> tuple[int, _Seen]:
         """The agent's node, and what the network is shown there."""

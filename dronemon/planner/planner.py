@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from dronemon.arena import ARENA, Arena
-from dronemon.types import FloatArray, IntArray
+from dronemon.types import FloatArray
 
 if TYPE_CHECKING:
     from dronemon.belief import Belief
@@ -112,19 +112,9 @@ class Planner(Protocol):
 class Explaining(Protocol):
     """A planner that can say what it looked at."""
 
-    def explain(self, snapshot: Snapshot) -> tuple[Waypoint, Explanation]:
-        """Decide as `next_waypoint`; the weights of attention behind it, too."""
+    def explanation(self) -> Explanation:
+        """The weights of attention behind the newest waypoint."""
         ...
-
-
-def decide(
-    planner: Planner, snapshot: Snapshot
-) -> tuple[Waypoint, Mapping[str, FloatArray | IntArray]]:
-    """The next waypoint, and what an explaining planner looked at, by `Explanation`'s names."""
-    if isinstance(planner, Explaining):
-        waypoint, explanation = planner.explain(snapshot)
-        return waypoint, explanation.arrays()
-    return planner.next_waypoint(snapshot), {}
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ network's softmax gives them.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -67,17 +67,24 @@ def explain(
     length_au: Tensor,
     current: Tensor,
     tracks: Tensor,
-) -> tuple[Verdict, list[Explanation]]:
-    """Decide as `History.decide`, whose arguments these are; each episode's weights, too."""
+) -> tuple[Verdict, Callable[[], list[Explanation]]]:
+    """Decide as `History.decide`, whose arguments these are.
+
+    -> the verdict, and a function that gives each episode's weights until the next decision
+    """
     with _listening(memory.network) as heard:
         verdict = memory.decide(frame, target_mask, length_au, current, tracks)
-    if isinstance(memory.network.temporal, TemporalEncoder):
-        slots, marks_au = memory.windows()
-        heard["temporal"] = heard["temporal"][..., slots]
-        heard["ages_au"] = length_au[:, None] - marks_au
-    heard["pointer"] = verdict.logits.softmax(-1)
-    nodes = enumerate(current.tolist())
-    return verdict, [_of_episode(memory.graphs, b, n, target_mask[b], heard) for b, n in nodes]
+
+    def explanations() -> list[Explanation]:
+        weights = heard | {"pointer": verdict.logits.softmax(-1)}
+        if "temporal" in heard:
+            slots, marks_au = memory.windows()
+            weights["temporal"] = heard["temporal"][..., slots]
+            weights["ages_au"] = length_au[:, None] - marks_au
+        nodes = enumerate(current.tolist())
+        return [_of_episode(memory.graphs, b, n, target_mask[b], weights) for b, n in nodes]
+
+    return verdict, explanations
 
 
 @contextlib.contextmanager

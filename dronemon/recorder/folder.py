@@ -76,7 +76,7 @@ class RunFolder:
         file = self.path / SUMMARY_FILE
         try:
             return dict(json.loads(file.read_text(encoding="utf-8")))
-        except (TypeError, ValueError) as exc:
+        except (TypeError, ValueError, RecursionError) as exc:
             raise RecordError(f"{file} is damaged: {exc}") from exc
 
     def observations(self) -> Iterator[dict[str, Any]]:
@@ -121,7 +121,7 @@ def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
         for number, line in enumerate(file, start=1):
             try:
                 record = json.loads(line)
-            except ValueError as exc:
+            except (ValueError, RecursionError) as exc:
                 if not file.read(1):
                     return
                 raise RecordError(f"{path}, line {number} is damaged: {exc}") from exc

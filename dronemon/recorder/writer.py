@@ -27,7 +27,7 @@ import math
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -166,8 +166,7 @@ class RunRecorder:
             case Measured():
                 self._append(OBSERVATIONS_FILE, self._observation(event))
             case Decided():
-                said = asdict(replace(event, attention={})) | {"wall": self._wall(event.time_s)}
-                del said["attention"]  # too much for a line; `dronemon explain` finds it again
+                said = asdict(event) | {"wall": self._wall(event.time_s)}
                 self._append(DECISIONS_FILE, said | self._ground(event.waypoint_au))
             case Noted():
                 self._append(EVENTS_FILE, self._event(event))
@@ -186,6 +185,7 @@ class RunRecorder:
     def _observation(self, event: Measured) -> dict[str, object]:
         measurement = event.measurement
         said = {
+            "number": event.number,
             "time_s": event.time_s,
             "wall": self._wall(event.time_s),
             "time_au": measurement.time_au,

@@ -15,6 +15,7 @@ from rich.text import Text
 from dronemon.flight_options import AsJson
 from dronemon.mission import load_mission
 from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.runner.history import understanding
 from dronemon.runner.watch import span
 from dronemon.terminal import console
 
@@ -22,6 +23,7 @@ RunArguments = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Thei
 FIGURES: dict[str, Callable[[Any], str]] = {
     "planner": str,
     "outcome": str,
+    "horizon_au": "{:g}".format,
     "pictures": str,
     "longest_unseen_s": span,
     "unc": "{:.3f}".format,
@@ -33,6 +35,7 @@ FIGURES: dict[str, Callable[[Any], str]] = {
 }
 """What is told of each run, and how it is shown."""
 HEADS = {
+    "horizon_au": "way to fly (au)",
     "longest_unseen_s": "longest out of sight",
     "unc": "Unc",
     "jsd": "JSD",
@@ -50,7 +53,7 @@ def compare_command(runs: RunArguments, as_json: AsJson = False) -> None:
     if as_json:
         sys.stdout.write(json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
         return
-    table = Table("", *(Column(Text(row["run"])) for row in rows))
+    table = Table("", *(Column(Text(row["run"], overflow="fold")) for row in rows))
     for key, show in FIGURES.items():
         cells = ["-" if row[key] is None else " ".join(show(row[key]).split()) for row in rows]
         table.add_row(HEADS.get(key, key), *map(Text, cells))
@@ -64,10 +67,13 @@ def compare(folders: Sequence[RunFolder]) -> list[dict[str, Any]]:
 
 def _row(folder: RunFolder) -> dict[str, Any]:
     summary = folder.summary()
-    unseen_s = [watched["longest_unseen_s"] for watched in summary.get("watched", {}).values()]
-    known = summary | {
-        "run": folder.path.name,
-        "planner": load_mission(folder.path / MISSION_FILE).mission.planner.kind,
-        "longest_unseen_s": max(unseen_s, default=None),
-    }
+    mission = load_mission(folder.path / MISSION_FILE).mission
+    with understanding(folder):
+        unseen_s = [watched["longest_unseen_s"] for watched in summary.get("watched", {}).values()]
+        known = summary | {
+            "run": folder.path.name,
+            "planner": mission.planner.kind,
+            "horizon_au": mission.horizon_au,
+            "longest_unseen_s": max(unseen_s, default=None),
+        }
     return {key: known.get(key) for key in ("run", *FIGURES)}

@@ -12,23 +12,17 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D, Transform
 
 from dronemon.arena import ARENA
-from dronemon.palette import round_length_m, target_rgb
+from dronemon.palette import on_paper, round_length_m
 from dronemon.problem import LOST_STD
 from dronemon.report.flight import Flight
 from dronemon.types import FloatArray
 
-_DARKEN = 0.8
-"""The palette is for dark ground; on paper it is darker."""
 _FOG_S = 600.0
 """A place that nobody looked at for this long is as grey as one that nobody ever looked at."""
+_SHORT_NAME = 12
+"""Letters of a name that leave room for two more beside it."""
 _SHARE_OF_SCALE = 0.3
 """Most that the scale bar takes of the map's width."""
-
-
-def color(number: int) -> tuple[float, float, float]:
-    """Of a target on paper."""
-    red, green, blue = (_DARKEN * part / 255.0 for part in target_rgb(number))
-    return red, green, blue
 
 
 def draw_map(flight: Flight) -> Figure:
@@ -38,14 +32,18 @@ def draw_map(flight: Flight) -> Figure:
     _draw_beliefs(panel, flight)
     border = _to_map(flight, ARENA.outline_au)
     panel.plot(*border.T, color="0.3", linewidth=1.2)
-    panel.plot(*_to_map(flight, flight.agent_au).T, color="0.35", linewidth=0.6, label="drone")
+    way = _to_map(flight, flight.agent_au)
+    panel.plot(*way.T, color="0.35", linewidth=0.6, label="the drone's way")
+    for place, mark, label in ((way[0], "^", "its start"), (way[-1], "s", "its end")):
+        panel.plot(*place, mark, color="0.2", markersize=5.0, label=label)
     for number, name in enumerate(flight.names):
         seen_au = flight.seen_au[flight.seen[:, number] > 0.0, number]
         places = _to_map(flight, seen_au)
-        panel.plot(*places.T, ".", color=color(number), markersize=4.0, alpha=0.6)
+        panel.plot(*places.T, "o", color=on_paper(number), markersize=4.5, mec="white", mew=0.5)
         last = places[-1:]
-        label = f"{name}, seen last" if len(last) else f"{name}, never seen"
-        panel.plot(*last.T, "o", color=color(number), markeredgecolor="black", label=label)
+        label = f"seen last: {name}" if len(last) else f"never seen: {name}"
+        marker = "o" if len(last) else "None"
+        panel.plot(*last.T, marker, color=on_paper(number), mec="black", ms=7.0, label=label)
     low, high = border.min(axis=0), border.max(axis=0)
     _draw_scale(panel, low, high)
     panel.annotate(
@@ -61,7 +59,12 @@ def draw_map(flight: Flight) -> Figure:
     panel.set_ylim(low[1] - 1.6 * margin, high[1] + margin)
     panel.set_aspect("equal")
     panel.set_axis_off()
-    panel.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), ncols=3, fontsize=8, frameon=False)
+    story = flight.story
+    panel.set_title(f"{story.title}, {story.started:%Y-%m-%d}", fontsize=9, wrap=True)
+    columns = 3 if max(map(len, flight.names)) <= _SHORT_NAME else 1
+    panel.legend(
+        loc="upper left", bbox_to_anchor=(0.0, 0.0), ncols=columns, fontsize=8, frameon=False
+    )
     return figure
 
 
@@ -71,7 +74,7 @@ def _draw_beliefs(panel: Axes, flight: Flight) -> None:
     fog = np.clip(flight.unseen_for_s / _FOG_S, 0.0, 1.0)
     layers = [_layer((0.45, 0.48, 0.52), 0.55 * fog)]
     for number, mean in enumerate(flight.mean):
-        layers.append(_layer(color(number), 0.85 * np.clip(mean, 0.0, 1.0)))
+        layers.append(_layer(on_paper(number), 0.85 * np.clip(mean, 0.0, 1.0)))
     (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
     for layer in layers:
         panel.imshow(
@@ -125,10 +128,10 @@ def draw_targets(flight: Flight) -> Figure:
     panels = figure.subplots(len(flight.names), 1, sharex=True, squeeze=False)[:, 0]
     minutes = flight.times_s / 60.0
     for number, (panel, name) in enumerate(zip(panels, flight.names, strict=True)):
-        panel.plot(minutes, flight.std[:, number], color=color(number), linewidth=1.2)
+        panel.plot(minutes, flight.std[:, number], color=on_paper(number), linewidth=1.2)
         panel.axhline(LOST_STD, color="0.6", linewidth=0.8, linestyle="--")
         seen = minutes[flight.seen[:, number] > 0.0]
-        panel.vlines(seen, 1.02, 1.22, color=color(number), linewidth=1.0)
+        panel.vlines(seen, 1.02, 1.22, color=on_paper(number), linewidth=1.0)
         panel.set_ylim(0.0, 1.25)
         panel.set_yticks([0.0, LOST_STD], ["0", f"{LOST_STD:g}"])
         panel.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=8)
@@ -151,6 +154,9 @@ def draw_vehicle(flight: Flight) -> Figure:
     battery.set_ylabel("battery (%)", fontsize=8)
     battery.legend(fontsize=7, frameon=False)
     decisions.semilogy(flight.decisions[:, 0] / 60.0, flight.decisions[:, 1], ".", color="black")
+    for formatter in (decisions.yaxis.set_major_formatter, decisions.yaxis.set_minor_formatter):
+        formatter("{x:g}")
+    decisions.tick_params(axis="y", which="minor", labelsize=6)
     decisions.set_ylabel("decision (ms)", fontsize=8)
     for panel in (battery, decisions):
         panel.set_xlabel("minutes of patrol", fontsize=8)

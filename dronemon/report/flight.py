@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,8 @@ import numpy as np
 from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.errors import RecordError
-from dronemon.export.story import Story, read_story
-from dronemon.frames import AreaFrame
+from dronemon.export.story import Story, coarse, read_story, redacted
+from dronemon.frames import AreaFrame, GeoPoint
 from dronemon.mission import Mission, load_mission
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.recorder import MISSION_FILE, RunFolder
@@ -43,6 +42,7 @@ class Flight:
     events:         the lines of events.jsonl
     """
 
+    folder: RunFolder
     story: Story
     mission: Mission
     frame: AreaFrame
@@ -70,9 +70,14 @@ class Flight:
         return float(np.mean(self.unseen_for_s < within_s))
 
 
-def read_flight(folder: RunFolder) -> Flight:
-    """Read a run, finished or not. Raises RecordError for one that never patrolled."""
+def read_flight(folder: RunFolder, cell_m: float = 0.0) -> Flight:
+    """Read a run, finished or not. Raises RecordError for one that never patrolled.
+
+    cell_m: to which places on the globe are told, and no words that may hold one; 0: exactly
+    """
     story = read_story(folder)
+    if cell_m:
+        story = redacted(story, cell_m)
     mission = load_mission(folder.path / MISSION_FILE).mission
     with understanding(folder):
         events, lines = list(folder.events()), list(folder.observations())
@@ -88,8 +93,13 @@ def read_flight(folder: RunFolder) -> Flight:
         seconds = mission.seconds_per_au
         agent_au = np.array([m.agent_au for m in measurements])
         times_au = np.array([m.time_au for m in measurements])
-        place_of = partial(laid.frame.au_to_geo, origin=laid.origin)
+
+        def place_of(position_au: FloatArray) -> GeoPoint:
+            exact = laid.frame.au_to_geo(position_au, laid.origin)
+            return coarse(exact, cell_m) if cell_m else exact
+
         return Flight(
+            folder=folder,
             story=story,
             mission=mission,
             frame=laid.frame,
@@ -110,7 +120,7 @@ def read_flight(folder: RunFolder) -> Flight:
                 watch(sightings, number, seconds, place_of)
                 for number in range(len(mission.targets))
             ],
-            events=events,
+            events=() if cell_m else events,
         )
 
 

@@ -5,36 +5,36 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import jinja2
 from matplotlib.colors import to_hex
 
+from dronemon.palette import on_paper
 from dronemon.recorder import MISSION_FILE
-from dronemon.report.figures import FIGURES, color, svg
+from dronemon.report.figures import FIGURES, svg
 from dronemon.report.flight import Flight
 from dronemon.runner.summary import figures, how_flown
-from dronemon.runner.watch import Watched, span
+from dronemon.runner.watch import ago_in_words, seen_in_words, span
 
 _MAX_EVENTS = 150
 _RECENTLY_S = 600.0
 
 
-def page(flight: Flight, run: Path) -> str:
-    """The whole page. run: the folder as it was named"""
+def page(flight: Flight) -> str:
+    """The whole page."""
     summary, story = flight.summary, flight.story
     template = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     ).from_string((files("dronemon.report") / "page.html.j2").read_text(encoding="utf-8"))
     drawn = {name: svg(draw(flight)) for name, draw in FIGURES.items()}
-    last = story.track[-1].time if story.track else story.started
     return template.render(
-        name=story.name,
+        title=story.title,
+        cell_m=story.cell_m,
         day=f"{story.started:%Y-%m-%d}",
         began=f"{story.started:%Y-%m-%d %H:%M:%S}",
-        ended=f"{last:%H:%M:%S}",
-        outcome=_outcome(summary),
+        ended=f"{story.track[-1].time:%H:%M:%S}" if story.track else "",
+        outcome=_outcome(summary, is_whole=not story.cell_m),
         is_bad=not summary.get("is_landed", False) or bool(summary.get("error")),
         targets=[_target(flight, number) for number in range(len(flight.names))],
         coverage=_coverage(flight),
@@ -45,14 +45,14 @@ def page(flight: Flight, run: Path) -> str:
         figures=list(figures(summary).items()),
         events=[_event(event) for event in flight.events[:_MAX_EVENTS]],
         num_left_out=max(0, len(flight.events) - _MAX_EVENTS),
-        made=list(_made(flight, run).items()),
+        made=list(_made(flight).items()),
     )
 
 
-def _outcome(summary: Mapping[str, Any]) -> str:
-    """How it ended, in a sentence."""
+def _outcome(summary: Mapping[str, Any], *, is_whole: bool) -> str:
+    """How it ended, in a sentence; its error, which may say where, only where all is told."""
     landed = "The drone is down." if summary.get("is_landed") else "Nobody saw the drone land."
-    error = f" {summary['error']}" if summary.get("error") else ""
+    error = f" {summary['error']}" if is_whole and summary.get("error") else ""
     return f"Outcome: {summary['outcome']}. {landed}{error}"
 
 
@@ -61,20 +61,12 @@ def _target(flight: Flight, number: int) -> dict[str, str]:
     return {
         "name": target.name,
         "appearance": target.appearance,
-        "color": to_hex(color(number)),
-        "seen": "never" if not watched.num_seen else f"{watched.num_seen} times",
+        "color": to_hex(on_paper(number)),
+        "seen": seen_in_words(watched.num_seen),
         "longest": span(watched.longest_unseen_s),
-        "last": _last(watched),
+        "last": "-" if watched.unseen_since_s is None else ago_in_words(watched.unseen_since_s),
         "where": "-" if watched.place is None else str(watched.place) + _error(flight, number),
     }
-
-
-def _last(watched: Watched) -> str:
-    if watched.unseen_since_s is None:
-        return "-"
-    return (
-        f"{span(watched.unseen_since_s)} before the end" if watched.unseen_since_s else "at the end"
-    )
 
 
 def _error(flight: Flight, number: int) -> str:
@@ -96,12 +88,12 @@ def _event(event: Mapping[str, Any]) -> dict[str, str]:
     return {"time": shown, "kind": event["kind"], "text": event["text"]}
 
 
-def _made(flight: Flight, run: Path) -> dict[str, str]:
-    summary = flight.summary
+def _made(flight: Flight) -> dict[str, str]:
+    summary, run = flight.summary, flight.folder.path.resolve().name
     made = {
         "flown by": f"dronemon {summary['code']}, planner {flight.mission.planner.kind}",
-        "fly it again": f"dronemon fly {shlex.quote(str(run / MISSION_FILE))}",
-        "this page": f"dronemon report {shlex.quote(str(run))}",
+        "fly it again": f"dronemon fly {shlex.quote(f'{run}/{MISSION_FILE}')}",
+        "this page": f"dronemon report {shlex.quote(run)}",
     }
     if "checkpoint" in summary:
         made["weights"] = "{name}, SHA-256 {sha256}".format(**summary["checkpoint"])

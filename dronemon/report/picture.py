@@ -17,14 +17,15 @@ from matplotlib.patches import Circle
 from dronemon.arena import ARENA
 from dronemon.errors import OptionError
 from dronemon.flight_options import RunArgument
+from dronemon.palette import belief_rgb, on_paper
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.recorder import RunFolder
-from dronemon.report.figures import color
 from dronemon.report.flight import Flight, beliefs_at, read_flight
+from dronemon.runner.summary import truth_at
 from dronemon.simulator import read_truth
 from dronemon.terminal import console
-from dronemon.types import FloatArray
-from dronemon.viz.recorded import Marked, picture_at
+from dronemon.types import FloatArray, ImageArray
+from dronemon.viz.recorded import Marked, picture_of
 
 ToOption = Annotated[
     Path, typer.Option("--to", help="The picture: PNG, SVG or PDF.", show_default=False)
@@ -55,11 +56,8 @@ def picture_command(run: RunArgument, to: ToOption, at: AtOption = None) -> None
 
 def _truth_au(folder: RunFolder) -> FloatArray | None:
     """(T, N, 2) where the targets truly were, None where no simulator told."""
-    told = {round(t.time_s, 6): t.targets_au for t in read_truth(folder.path)}
-    times_s = [round(line["time_s"], 6) for line in folder.observations()]
-    if not all(time_s in told for time_s in times_s):
-        return None
-    return np.array([told[time_s] for time_s in times_s])
+    times_s = (line["time_s"] for line in folder.observations())
+    return truth_at(read_truth(folder.path), times_s)
 
 
 def draw(folder: RunFolder, flight: Flight, count: int) -> Figure:
@@ -75,14 +73,13 @@ def draw(folder: RunFolder, flight: Flight, count: int) -> Figure:
     together, truth, camera, far = (
         figure.add_subplot(grid[1, k * columns : (k + 1) * columns]) for k in range(4)
     )
-    _show(together, 1.0 - std.min(axis=0), "all beliefs, and the way flown")
+    _show(together, belief_rgb(mean, std), "all beliefs, and the way flown")
     _draw_way(together, flight, count)
     _frame(truth, "where the targets truly are" + (": not known" if truth_au is None else ""))
     if truth_au is not None:
         _draw_areas(truth, truth_au[count - 1])
     recordings = [folder.path / name for name in folder.recordings()]
-    time_s = list(folder.observations())[count - 1]["time_s"]
-    _draw_picture(camera, picture_at(recordings, time_s))
+    _draw_picture(camera, picture_of(recordings, count))
     _draw_distances(far, flight, count, flight.seen_au if truth_au is None else truth_au)
     return figure
 
@@ -91,20 +88,21 @@ def _draw_way(panel: Axes, flight: Flight, count: int) -> None:
     """The way flown, the newest part brightest; the drone, what it sees, and whom."""
     way_au = flight.agent_au[max(0, count - _TRAIL) : count]
     legs = np.stack([way_au[:-1], way_au[1:]], axis=1)
-    ages = np.linspace(0.1, 1.0, len(legs))
-    trail = LineCollection(list(legs), colors="white", alpha=ages, linewidths=2.5 * ages)
-    panel.add_collection(trail)
+    if len(legs):
+        ages = np.linspace(0.1, 1.0, len(legs))
+        trail = LineCollection(list(legs), colors="white", alpha=ages, linewidths=2.5 * ages)
+        panel.add_collection(trail)
     panel.plot(*way_au[-1], "o", color="cyan", markersize=5)
-    _ring(panel, way_au[-1], color="gold")
+    _ring(panel, way_au[-1], color="gold")  # how far it sees
     for number in np.flatnonzero(flight.seen[count - 1]).tolist():
-        panel.plot(*flight.seen_au[count - 1, number], "s", color=color(number), markersize=7)
+        panel.plot(*flight.seen_au[count - 1, number], "s", color=on_paper(number), markersize=7)
 
 
 def _draw_areas(panel: Axes, targets_au: FloatArray) -> None:
     """The targets, and the areas over which Unc is taken."""
     for number, target_au in enumerate(targets_au):
-        panel.plot(*target_au, "s", color=color(number), markersize=6)
-        _ring(panel, target_au, color=color(number), linestyle=":")
+        panel.plot(*target_au, "s", color=on_paper(number), markersize=6)
+        _ring(panel, target_au, color=on_paper(number), linestyle=":")
 
 
 def _draw_picture(panel: Axes, picture: Marked | None) -> None:
@@ -130,8 +128,16 @@ def _draw_distances(panel: Axes, flight: Flight, count: int, places_au: FloatArr
     times_au = flight.times_s[:count] / flight.mission.seconds_per_au
     for number, name in enumerate(flight.names):
         far_au = np.hypot(*(places_au[:count, number] - flight.agent_au[:count]).T)
-        panel.plot(times_au, far_au, ".-", color=color(number), linewidth=1.0, ms=2.0, label=name)
-    panel.axhline(SENSOR_RADIUS_AU, color="gold", linewidth=1.0)
+        panel.plot(
+            times_au,
+            far_au,
+            ".-",
+            color=on_paper(number),
+            linewidth=1.0,
+            ms=2.0,
+            label=f"to {name}",
+        )
+    panel.axhline(SENSOR_RADIUS_AU, color="gold", linewidth=1.0, label="it sees so far")
     panel.set_title("distance to each target (au)", fontsize=9)
     panel.set_xlabel("au of patrol", fontsize=8)
     panel.tick_params(labelsize=7)
@@ -145,7 +151,7 @@ def _ring(panel: Axes, centre_au: FloatArray, **style: Any) -> None:
     panel.add_patch(Circle((x_au, y_au), SENSOR_RADIUS_AU, fill=False, **style))
 
 
-def _show(panel: Axes, values: FloatArray, title: str) -> None:
+def _show(panel: Axes, values: FloatArray | ImageArray, title: str) -> None:
     (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
     panel.imshow(
         values,

@@ -99,7 +99,7 @@ class _Flight:
     def __init__(self, setup: FlightSetup) -> None:
         self._setup, self._history = setup, setup.history
         self._mission, self._link = setup.file.mission, setup.link
-        self._events = EventStream(setup.record, setup.watchers, setup.link)
+        self._events = EventStream(setup.record, setup.audience, setup.link)
         self._battery = Battery(setup.link, self._mission.flight)
         self._supervisor = Supervisor(
             setup.link,
@@ -356,12 +356,11 @@ class _Flight:
 
     def _tell_losses(self) -> None:
         """Tell what was left out on the way, if anything."""
-        for number, what in (
-            (self._link.state.num_unreadable, "messages of the vehicle could not be read"),
-            (self._events.dropped, "events could not be shown"),
-        ):
-            if number:
-                self._events.note("left out", f"{number} {what}", level="WARN")
+        lost = self._setup.audience.losses()
+        if number := self._link.state.num_unreadable:
+            lost.append(f"{number} messages of the vehicle that could not be read")
+        for what in lost:
+            self._events.note("left out", what, level="WARN")
 
     async def _tell_texts(self) -> None:
         """Tell what the autopilot says when it says it."""

@@ -97,6 +97,7 @@ class Ground:
         assert origin is not None  # as above
         self._events.emit(
             AreaLaid(
+                system_id=self._link.system_id,
                 area=frame,
                 origin=origin,
                 footprint_radius_m=self._mission.sensor_radius_m,

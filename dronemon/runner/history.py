@@ -158,7 +158,7 @@ def understanding(folder: RunFolder) -> Iterator[None]:
     """Lines are read meanwhile. Raises RecordError for those of another version."""
     try:
         yield
-    except (LookupError, TypeError, ValueError) as exc:
+    except (AttributeError, LookupError, TypeError, ValueError) as exc:
         raise RecordError(
             f"{folder.path}: its lines are not those of this version ({exc!r})"
         ) from exc

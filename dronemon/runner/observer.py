@@ -13,7 +13,6 @@ from dronemon.camera import check_picture
 from dronemon.errors import CameraError
 from dronemon.events import Believed, EventStream, Measured, Pictured
 from dronemon.frames import AreaFrame
-from dronemon.problem import PREDICTION_AU
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, make_belief
@@ -22,7 +21,6 @@ from dronemon.sightings import Sightings
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vision.observe import observe, sighting_error_m
 from dronemon.vision.project import interpolate_pose
-from dronemon.viz import belief_grid_au
 
 BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while no picture says anything, ..."""
@@ -56,7 +54,6 @@ class Observer:
         self._battery = battery
         self._names = tuple(target.name for target in self._mission.targets)
         self._appearances = [target.appearance for target in self._mission.targets]
-        self._grid_au = belief_grid_au()
         self._unseen: deque[tuple[Picture, Pose]] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
         self._blind_since_s: float | None = None
@@ -143,9 +140,10 @@ class Observer:
         detections, measurement, score = await in_daemon_thread(
             look, "the detector", CameraError, _LOOK_LIMIT_S
         )
-        stretch = tally.stretch(picture.time_s)
+        stretch, number = tally.stretch(picture.time_s), len(self.belief.sightings) + 1
         self._events.emit(
             Measured(
+                number=number,
                 time_s=picture.time_s,
                 measurement=measurement,
                 score=score,
@@ -164,8 +162,15 @@ class Observer:
         self._blind_since_s = None
         self.belief.sightings.add(measurement)
         if self._mission.record.pictures:
-            self._events.emit(Pictured(picture=picture, detections=detections, pose=pose))
-        await self._show_beliefs(picture.time_s, measurement.time_au)
+            pictured = Pictured(number=number, picture=picture, detections=detections, pose=pose)
+            self._events.emit(pictured)
+        self._events.emit(
+            Believed(
+                time_s=picture.time_s,
+                time_au=measurement.time_au,
+                posterior=self.belief.posterior_of_now(),
+            )
+        )
 
     def _detect(
         self, picture: Picture, pose: Pose, time_au: float
@@ -184,23 +189,3 @@ class Observer:
         best = {d.appearance: d.score for d in sorted(detections, key=lambda d: d.score)}
         scores = [float(best.get(appearance, np.nan)) for appearance in self._appearances]
         return detections, measurement, np.where(measurement.seen, scores, np.nan)
-
-    async def _show_beliefs(self, time_s: float, time_au: float) -> None:
-        rows, columns, _ = self._grid_au.shape
-        grid_au = self._grid_au.reshape(-1, 2)
-        times_au = np.repeat([time_au, time_au + PREDICTION_AU], len(grid_au))
-        query = np.concatenate([np.tile(grid_au, (2, 1)), times_au[:, None]], axis=-1)
-        posterior = await asyncio.to_thread(self.belief.posterior, query)
-        shape = (-1, 2, rows, columns)
-        (mean, mean_later), (std, std_later) = (
-            np.moveaxis(values.reshape(shape), 1, 0) for values in posterior
-        )
-        self._events.emit(
-            Believed(
-                time_s=time_s,
-                mean=mean,
-                std=std,
-                mean_later=mean_later,
-                std_later=std_later,
-            )
-        )

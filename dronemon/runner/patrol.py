@@ -8,6 +8,7 @@ waypoint is due, or looks at the oldest picture, one after the other, in threads
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import Mapping
@@ -15,13 +16,13 @@ from functools import partial
 
 from dronemon.arena import ARENA
 from dronemon.errors import PlannerError, VehicleError
-from dronemon.events import Decided, EventStream, Moved
+from dronemon.events import Attended, Decided, EventStream, Moved
 from dronemon.fence import Fence
 from dronemon.frames import AreaFrame, geo_to_ned
 from dronemon.guard import Action
 from dronemon.guidance import Carrot, Point
 from dronemon.json_values import json_value
-from dronemon.planner import Snapshot, Waypoint, decide
+from dronemon.planner import Explaining, Planner, Snapshot, Waypoint
 from dronemon.planner.motion import until_measurement_au, waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.roadmap import Roadmap
@@ -319,7 +320,7 @@ class Patrol:
         snapshot = self._snapshot(self.tally, now_s)
         num_measurements = len(snapshot.sightings)
         began = time.perf_counter()
-        waypoint, attention = await in_daemon_thread(
+        waypoint, weights = await in_daemon_thread(
             partial(self._decide, snapshot), f"planner '{self._setup.planner.name}'", PlannerError
         )
         decision_ms = (time.perf_counter() - began) * 1e3
@@ -328,15 +329,18 @@ class Patrol:
             Decided(
                 time_s=now_s,
                 time_au=snapshot.time_au,
+                flown_au=snapshot.flown_au,
+                remaining_au=snapshot.remaining_au,
                 position_au=self._waypoint_au,
                 waypoint_au=waypoint_au,
                 node=waypoint.node,
                 num_measurements=num_measurements,
                 decision_ms=decision_ms,
                 details=waypoint.details,
-                attention=attention,
             )
         )
+        if weights:
+            self._events.emit(Attended(time_s=now_s, weights=weights))
         self.tally.decision_ms.append(decision_ms)
         took_s = min(self._link.time_s - self._due_s, _ANSWER_LIMIT_S)
         self._answer_s = max(took_s, _ANSWER_MEMORY * self._answer_s)
@@ -349,12 +353,13 @@ class Patrol:
         The waypoint's details are as they can be recorded.
         """
         planner = self._setup.planner
-        waypoint, attention = decide(planner, snapshot)
+        waypoint = planner.next_waypoint(snapshot)
         if flaw := waypoint_flaw(waypoint, self._waypoint_au, ARENA):
             raise PlannerError(f"planner '{planner.name}' gave {flaw}")
         details = {str(name): json_value(value) for name, value in waypoint.details.items()}
         position_au = ARENA.clip(waypoint.position_au)
-        return Waypoint(position_au=position_au, node=waypoint.node, details=details), attention
+        waypoint = Waypoint(position_au=position_au, node=waypoint.node, details=details)
+        return waypoint, _weights(planner)
 
     def _snapshot(self, tally: Tally, now_s: float) -> Snapshot:
         """What the planner is told, as it will be at the waypoint that the drone is about to reach.
@@ -375,6 +380,14 @@ class Patrol:
             roadmap=self._roadmap,
             remaining_au=max(self._mission.horizon_au - flown_au, 0.0),
         )
+
+
+def _weights(planner: Planner) -> Mapping[str, FloatArray | IntArray]:
+    """What it looked at, if it says so: a failure costs those who watch, and not the flight."""
+    if isinstance(planner, Explaining):
+        with contextlib.suppress(Exception):
+            return planner.explanation().arrays()
+    return {}
 
 
 def _point(north_east_m: FloatArray) -> Point:

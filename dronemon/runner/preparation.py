@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief, Matern32
 from dronemon.belief.compiled import is_ready as belief_is_compiled
 from dronemon.camera import FrameSource
 from dronemon.errors import CameraError, DronemonError, PlannerError, blaming
-from dronemon.events import Subscriber
+from dronemon.events import Audience, Subscriber
 from dronemon.mission import Mission, MissionFile
-from dronemon.planner import Briefing, Planner, Snapshot, decide
+from dronemon.planner import Briefing, Explaining, Planner, Snapshot
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.history import History
@@ -29,7 +30,6 @@ from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement, Pose
 from dronemon.vehicle import VehicleLink
 from dronemon.vision.detector import Detector
-from dronemon.viz import belief_grid_au
 from dronemon.world import Instance
 from dronemon.world.instance import named_stream
 
@@ -55,7 +55,7 @@ class FlightSetup:
     planner: Planner
     priors_au: FloatArray
     record: Subscriber
-    watchers: tuple[Subscriber, ...]
+    audience: Audience
     interrupts: Interrupts
     settings: Mapping[str, float] = field(default_factory=dict)
     folder: Path = Path()
@@ -118,7 +118,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         try_detector(mission, detector)
         with blaming(who, PlannerError):
             planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
-    grid_au = belief_grid_au().reshape(-1, 2)
+    grid_au = ARENA.grid(2)
     belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
     snapshot = Snapshot(
         time_au=0.1,
@@ -131,7 +131,9 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         remaining_au=mission.horizon_au,
     )
     with blaming(who, PlannerError):
-        decide(planner, snapshot)
+        planner.next_waypoint(snapshot)
+        if isinstance(planner, Explaining):
+            planner.explanation()
 
 
 def try_detector(mission: Mission, detector: Detector) -> None:

@@ -45,7 +45,7 @@ class Relay:
     ) -> None:
         self._setup, self._connect = setup, connect
         self._mission = setup.file.mission
-        self._events = EventStream(setup.record, setup.watchers, setup.link)
+        self._events = EventStream(setup.record, setup.audience, setup.link)
         self._events.must_go_on = True  # it is on the ground
 
     async def goes_on(self, result: FlightResult, landed: FlightResult | None = None) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -23,6 +23,8 @@ from dronemon.runner.tally import Tally
 from dronemon.runner.watch import Watched, in_words, watch
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray
+
+_SAME_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,12 +141,8 @@ def _flown(
 def _score(tally: Tally, truth: Sequence[TruthTold], kernel: Matern32) -> Score:
     """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth."""
     sightings = tally.sightings
-    told = iter(truth)  # a vehicle that was switched off tells some times twice
-    true_au = [
-        next((t.targets_au for t in told if abs(t.time_s - time_s) < 1e-6), None)
-        for time_s in tally.times_s
-    ]
-    if not sightings or any(positions is None for positions in true_au):
+    true_au = truth_at(truth, tally.times_s)
+    if not sightings or true_au is None:
         return Score()
     replayed = Sightings(sightings.priors_au)
     belief = Belief(replayed, kernel)
@@ -163,6 +161,21 @@ def _score(tally: Tally, truth: Sequence[TruthTold], kernel: Matern32) -> Score:
         jsd=float(np.mean(jsd)),
         min_ob=min(sightings.num_seen),
     )
+
+
+def truth_at(truth: Iterable[TruthTold], times_s: Iterable[float]) -> FloatArray | None:
+    """Where the targets were at each of these times. -> (T, N, 2) au, None if one was not told
+
+    Both are in the order in which they came: with a fresh battery vehicle time begins anew.
+    """
+    told = iter(truth)
+    places_au = []
+    for time_s in times_s:
+        found = next((t.targets_au for t in told if abs(t.time_s - time_s) < _SAME_S), None)
+        if found is None:
+            return None
+        places_au.append(found)
+    return np.array(places_au)
 
 
 def _percentile(values: FloatArray | array[float], percent: float) -> float | None:

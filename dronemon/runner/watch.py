@@ -56,12 +56,20 @@ def in_words(watched: Watched) -> str:
     """For a table."""
     if watched.unseen_since_s is None:
         return f"never seen in {span(watched.longest_unseen_s)}"
-    count = "once" if watched.num_seen == 1 else f"{watched.num_seen} times"
-    ago_s, place = watched.unseen_since_s, watched.place
-    last = f"{span(ago_s)} before the end" if ago_s else "at the end"
-    where = f" at {place}" if place else ""
+    where = f" at {watched.place}" if watched.place else ""
     unseen = f"out of sight for {span(watched.longest_unseen_s)} at most"
-    return f"seen {count}, {unseen}; last {last}{where}"
+    seen, last = seen_in_words(watched.num_seen), ago_in_words(watched.unseen_since_s)
+    return f"seen {seen}, {unseen}; last {last}{where}"
+
+
+def seen_in_words(num_seen: int) -> str:
+    """How often."""
+    return {0: "never", 1: "once"}.get(num_seen, f"{num_seen} times")
+
+
+def ago_in_words(unseen_since_s: float) -> str:
+    """When it was seen last."""
+    return f"{span(unseen_since_s)} before the end" if unseen_since_s else "at the end"
 
 
 def span(duration_s: float) -> str:

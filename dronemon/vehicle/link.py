@@ -150,6 +150,10 @@ class VehicleLink(Protocol):
     """
 
     @property
+    def system_id(self) -> int:
+        """By which the vehicle is heard."""
+
+    @property
     def state(self) -> VehicleState:
         """The newest state."""
 

@@ -95,6 +95,11 @@ class MavsdkLink:
     # Hearing
 
     @property
+    def system_id(self) -> int:
+        """By which the vehicle is heard, once it was found."""
+        return self._wire.system_id
+
+    @property
     def state(self) -> VehicleState:
         """The newest state."""
         return self._heard.state

@@ -70,7 +70,8 @@ class Wire:
         self.parameters = Parameters(self.send, self.round_trip)
         self._is_port_held = is_port_held
         self.fence = FenceItems(self.send)
-        self._system_id = system_id
+        self._wanted_id = system_id
+        self.system_id = 0  # of the vehicle, once it is found
         self._connect_timeout_s = connect_timeout_s
         self._num_acks: dict[int, int] = {}
         self._beat_at = math.inf  # the event loop's time of the newest heartbeat
@@ -113,7 +114,7 @@ class Wire:
                 f"cannot open {self._url}: {exc}; is the port free and the URL right?"
             ) from exc
         system = await self._find(connections)
-        self._system_id = await system.get_system_id()
+        self.system_id = await system.get_system_id()
         self._direct = MavlinkDirectAsync(system)
         self._exit.callback(self._direct.destroy)
         self._beat_at = asyncio.get_running_loop().time()
@@ -161,14 +162,14 @@ class Wire:
                 f"no autopilot heard on {self._url} after {self._connect_timeout_s:g} s; "
                 "is the vehicle on and streaming there?"
             )
-        return systems[choose(heard, self._system_id, self._own, self._url)]
+        return systems[choose(heard, self._wanted_id, self._own, self._url)]
 
     # Reading
 
     async def _read(self, name: str) -> None:
         senders = (AUTOPILOT_COMPONENT, *(_REMOTE_IDS if name == REMOTE_ID_STATUS else ()))
         async for message in self._direct.subscribe_message(name):
-            if message.system_id != self._system_id or message.component_id not in senders:
+            if message.system_id != self.system_id or message.component_id not in senders:
                 continue
             try:
                 fields = json.loads(message.fields_json)
@@ -215,7 +216,7 @@ class Wire:
 
     async def send(self, name: str, **fields: float | str | None) -> None:
         """Send one message to the autopilot; None is NaN. Raises LinkLost."""
-        target = {"target_system": self._system_id, "target_component": AUTOPILOT_COMPONENT}
+        target = {"target_system": self.system_id, "target_component": AUTOPILOT_COMPONENT}
         await self._send(name, target | fields)
 
     async def _send(self, name: str, fields: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ import rerun as rr
 from dronemon.arena import ARENA
 from dronemon.events import (
     AreaLaid,
+    Attended,
     Believed,
     Decided,
     Event,
@@ -25,7 +26,8 @@ from dronemon.events import (
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.mission import Mission
-from dronemon.palette import Rgb, target_rgb
+from dronemon.palette import Rgb, belief_rgb, target_rgb
+from dronemon.problem import PREDICTION_AU
 from dronemon.types import FloatArray, Pose
 from dronemon.viz.attention import Attention
 from dronemon.viz.entities import (
@@ -34,11 +36,12 @@ from dronemon.viz.entities import (
     DARK,
     GREY,
     KINDS,
+    PICTURES,
     SERIES,
     TIMELINE,
     WHITE,
     au_to_map,
-    belief_rgb,
+    belief_grid_au,
     dots,
     grid_transform,
     lines,
@@ -112,6 +115,8 @@ class Drawing:
                 self._beliefs(event, self._area)
             case Decided():
                 self._waypoint(event)
+            case Attended() if self._nodes_au is not None:
+                self._attend(event, self._nodes_au)
             case TruthTold() if self._area is not None:
                 self._truth(event, self._area)
 
@@ -176,6 +181,7 @@ class Drawing:
         """Show picture, detections and the footprint's edge."""
         picture, found = event.picture, event.detections
         self._set_time(picture.time_s)
+        self._rec.set_time(PICTURES, sequence=event.number)
         self._rec.log(
             f"{CAMERA}/picture", rr.Image(picture.image, color_model="BGR").compress(JPEG_QUALITY)
         )
@@ -190,6 +196,7 @@ class Drawing:
             edge_px = ground_to_pixel(edge, self._camera, event.pose, self._area.ground_down_m)
             edge_px = edge_px[np.isfinite(edge_px).all(axis=-1)]
             self._rec.log(f"{CAMERA}/footprint", lines([edge_px], WHITE, 1.0))
+        self._rec.disable_timeline(PICTURES)
 
     def _name_and_rgb(self, appearance: str) -> tuple[str, Rgb]:
         number = self._numbers.get(appearance)
@@ -220,9 +227,11 @@ class Drawing:
 
     def _beliefs(self, event: Believed, area: AreaFrame) -> None:
         """Show the posteriors of all targets together and one by one."""
-        log, mean, std = self._rec.log, event.mean, event.std
+        log = self._rec.log
         self._set_time(event.time_s)
-        num_points = std.shape[-1]
+        grid_au = belief_grid_au()
+        num_points = len(grid_au)
+        mean, std, mean_later, std_later = _beliefs_on(grid_au, event)
         if not self._is_grid_laid:
             self._is_grid_laid = True
             each = [path("map", kind, name) for kind in KINDS for name in self._names]
@@ -232,7 +241,7 @@ class Drawing:
         log("map/belief", rr.Image(rgb, magnification_filter="linear"))
         if self._scene is not None:
             self._scene.lay_belief(rgb)
-        shown = zip(KINDS, (mean, std, event.mean_later, event.std_later), strict=True)
+        shown = zip(KINDS, (mean, std, mean_later, std_later), strict=True)
         for kind, values in shown:
             for number, name in enumerate(self._names):
                 image = rr.DepthImage(
@@ -257,14 +266,15 @@ class Drawing:
         )
         if self._area is not None:
             self._choices(event, self._area)
-            if event.attention and self._nodes_au is not None:
-                self._attention = self._attention or Attention(
-                    self._rec, self._names, self._nodes_au
-                )
-                self._attention.draw(event.attention)
             leg = au_to_map(np.stack([event.position_au, event.waypoint_au]), self._area)
             end = dots(leg[1:], WHITE, 4.0)
             self._rec.log("map/waypoint", lines([leg], WHITE, 1.5, order=25), end)
+
+    def _attend(self, event: Attended, nodes_au: FloatArray) -> None:
+        """Show what the network looked at."""
+        self._set_time(event.time_s)
+        self._attention = self._attention or Attention(self._rec, self._names, nodes_au)
+        self._attention.draw(event.weights)
 
     def _choices(self, event: Decided, area: AreaFrame) -> None:
         """Draw what the planner weighed: neighbours by their probability, or the path it has."""
@@ -277,7 +287,7 @@ class Drawing:
                 ends_au = self._nodes_au[np.array(nodes, dtype=np.int64)[likely]]
                 ways_au = [np.stack([event.position_au, end_au]) for end_au in ends_au]
                 shares = chances[likely]
-                labels = [f"{share:.0%}" for share in shares]
+                labels = [f"{s:.0%}" if s == shares.max() else "" for s in shares]
             case {"path": [*path_au]}:
                 way_au = [event.position_au, *np.array(path_au, dtype=np.float64)]
                 ways_au, shares, labels = [np.array(way_au)], np.array([0.5]), [""]
@@ -321,3 +331,15 @@ class Drawing:
         for text, level in self._early_notes:
             self._rec.log("events", rr.TextLog(text, level=level))
         self._early_notes.clear()
+
+
+def _beliefs_on(grid_au: FloatArray, event: Believed) -> tuple[FloatArray, ...]:
+    """The posteriors on a grid. grid_au: (G, G, 2)
+
+    -> (N, G, G) mean and std now, and both PREDICTION_AU later, if nobody looks until then
+    """
+    places_au = grid_au.reshape(-1, 2)
+    times_au = np.repeat([event.time_au, event.time_au + PREDICTION_AU], len(places_au))
+    query = np.column_stack([np.tile(places_au, (2, 1)), times_au])
+    mean, std = (values.reshape(-1, 2, *grid_au.shape[:2]) for values in event.posterior(query))
+    return mean[:, 0], std[:, 0], mean[:, 1], std[:, 1]

@@ -31,10 +31,12 @@ import rerun.blueprint as rrb
 
 from dronemon.frames import AreaFrame
 from dronemon.mission import Mission
-from dronemon.palette import Rgb, target_rgb
-from dronemon.types import FloatArray, ImageArray
+from dronemon.palette import Rgb
+from dronemon.types import FloatArray
 
 TIMELINE = "vehicle_time"
+PICTURES = "picture"
+"""A second timeline, of the camera: the number of a picture's measurement."""
 CAMERA = "scene/vehicle/camera"
 """Its pictures and what is marked in them; the scene shows them where they are taken."""
 KINDS = {
@@ -58,8 +60,6 @@ WHITE = (240, 244, 250)
 GREY = (150, 160, 178)
 DARK = (62, 70, 84)
 BLUE = (122, 162, 247)
-FOG_RGB = np.array([[14, 18, 26], [96, 106, 122]], dtype=np.float64)
-"""Ground of the belief map where every target's standard deviation is 0, and where it is 1."""
 
 
 def path(*parts: str) -> str:
@@ -147,16 +147,6 @@ def grid_transform(area: AreaFrame, num_points: int) -> rr.Transform3D:
     return rr.Transform3D(translation=[*origin, 0.0], mat3x3=matrix)
 
 
-def belief_rgb(mean: FloatArray, std: FloatArray) -> ImageArray:
-    """Picture of all beliefs at once. mean, std: (N, G, G) -> (G, G, 3) uint8."""
-    fog = np.clip(std, 0.0, 1.0).mean(axis=0)[..., None]
-    rgb = FOG_RGB[0] + (FOG_RGB[1] - FOG_RGB[0]) * fog
-    for index, presence in enumerate(np.clip(mean, 0.0, 1.0)):
-        rgb += (np.array(target_rgb(index)) - rgb) * 0.9 * presence[..., None]
-    image: ImageArray = rgb.astype(np.uint8)
-    return image
-
-
 def shown_half_m(side_m: float, heading_rad: float) -> float:
     """Half the width of what a map of the area shows, the area being turned."""
     return side_m * (abs(math.cos(heading_rad)) + abs(math.sin(heading_rad))) / 2.0 * 1.06
@@ -171,7 +161,7 @@ def blueprint(mission: Mission, legend_m: float) -> rrb.Blueprint:
     half_m = shown_half_m(area.side_m, math.radians(area.heading_deg))
     bounds = _bounds(half_m + mission.flight.fence_margin_m, legend_m)
     maps = rrb.Tabs(
-        _map_view("Map", bounds, hidden=(*KINDS, "truth")),
+        _map_view("Map", bounds, hidden=(*KINDS, "truth", "roadmap")),
         *(
             [_map_view("Map and truth", bounds, hidden=tuple(KINDS))]
             if mission.camera.is_simulated

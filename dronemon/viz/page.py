@@ -50,7 +50,7 @@ class Viewer:
             return self.url
         ports = [word for word in self.command if word.isdecimal()]
         tunnels = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in ports)
-        return f"{self.url} (from where you sit, first: ssh -N {tunnels} {socket.gethostname()})"
+        return f"{self.url}\n(from where you sit, first: ssh -N {tunnels} {socket.gethostname()})"
 
 
 def find_viewer(data_port: int, other_port: str) -> Viewer:

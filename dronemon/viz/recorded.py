@@ -12,9 +12,8 @@ from rerun.chunk import RrdReader
 
 from dronemon.errors import RecordError
 from dronemon.types import FloatArray
-from dronemon.viz.entities import CAMERA, TIMELINE
+from dronemon.viz.entities import CAMERA, PICTURES
 
-_SAME_S = 1e-3
 _COMPONENTS = {
     "jpeg": ("picture", "EncodedImage:blob"),
     "places": ("detections", "Points2D:positions"),
@@ -39,11 +38,11 @@ class Marked:
     footprint_px: FloatArray
 
 
-def picture_at(recordings: Iterable[Path], time_s: float) -> Marked | None:
-    """The picture of a vehicle time, None where none was recorded. Raises RecordError."""
+def picture_of(recordings: Iterable[Path], number: int) -> Marked | None:
+    """The picture of a measurement, None where none was recorded. Raises RecordError."""
     for path in recordings:
         try:
-            found = dict(_values(path, time_s))
+            found = dict(_values(path, number))
         except (OSError, RuntimeError, ValueError) as exc:
             raise RecordError(f"{path}: cannot be read as a recording: {exc}") from exc
         if jpeg := found.get("jpeg"):
@@ -56,14 +55,15 @@ def picture_at(recordings: Iterable[Path], time_s: float) -> Marked | None:
     return None
 
 
-def _values(path: Path, time_s: float) -> Iterator[tuple[str, Any]]:
-    """What was recorded of the picture of this time, by the names of `_COMPONENTS`."""
+def _values(path: Path, number: int) -> Iterator[tuple[str, Any]]:
+    """What was recorded of this picture, by the names of `_COMPONENTS`."""
     for chunk in RrdReader(path).stream().to_chunks():
         if chunk.is_static or not chunk.entity_path.startswith(f"/{CAMERA}/"):
             continue
         batch = chunk.to_record_batch()
-        times_s = np.array([time.value for time in batch.column(TIMELINE)]) / 1e9
-        rows = np.flatnonzero(np.abs(times_s - time_s) < _SAME_S).tolist()
+        if PICTURES not in batch.schema.names:
+            continue
+        rows = np.flatnonzero(np.array(batch.column(PICTURES)) == number).tolist()
         for name, (entity, component) in _COMPONENTS.items():
             if chunk.entity_path == f"/{CAMERA}/{entity}" and component in batch.schema.names:
                 yield from ((name, batch.column(component)[row].as_py()) for row in rows)

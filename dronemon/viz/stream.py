@@ -1,8 +1,8 @@
 """The flight as a Rerun recording: to a file, live on loopback, never in the flight's way.
 
 Every event goes into a bounded queue; one worker thread turns events into Rerun data. When the
-queue is full the newest one is dropped and counted. One that cannot be drawn is counted too, and
-`error` says why the first could not; the flight goes on.
+queue is full the newest one is dropped and counted. One that cannot be drawn is counted too; `lost`
+says how many and why, and the flight goes on.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from dronemon.events import Believed, Decided, Event, Moved, Pictured, Progressed
+from dronemon.events import Attended, Event, Moved, Pictured, Progressed
 from dronemon.mission import Mission
 from dronemon.viz.drawing import Drawing
 from dronemon.viz.entities import blueprint
@@ -65,14 +65,18 @@ class FlightView:
         return self._viewer.where if self._viewer else None
 
     @property
-    def dropped(self) -> int:
-        """Number of events that were not recorded."""
-        return self._queue.dropped + self._num_failed
-
-    @property
-    def error(self) -> str | None:
-        """What went wrong, if anything did: recording or page then lack something."""
-        return self._file.error or self._failure or (self._page.error if self._page else None)
+    def lost(self) -> str:
+        """What the recording or the page lacks, and why."""
+        dropped = self._queue.dropped
+        whys = (
+            self._file.error,
+            self._page.error if self._page else None,
+            f"{self._num_failed} events that could not be drawn ({self._failure})"
+            if self._failure
+            else None,
+            f"{dropped} events that the recording had no time for" if dropped else None,
+        )
+        return "; ".join(why for why in whys if why)
 
     def __enter__(self) -> FlightView:
         """Open the file and, live, the page. Raises ViewError if one of them cannot be."""
@@ -126,20 +130,23 @@ class FlightView:
                 self._pose_due_s = pose.time_s + self._pose_interval_s
             case Pictured():
                 num_bytes = event.picture.image.nbytes
-            case Believed():
-                num_bytes = 4 * event.mean.nbytes
-            case Decided():
-                num_bytes = sum(array.nbytes for array in event.attention.values())
+            case Attended():
+                num_bytes = sum(array.nbytes for array in event.weights.values())
         self._queue.put(event, num_bytes)
 
     def _work(self, recording: rr.RecordingStream) -> None:
         """Draw events until closed, then finish the recording; the worker thread's body."""
         rr.set_strict_mode(True)  # errors are raised rather than printed
-        self._drawing.start()
-        for event in self._queue:
-            try:
-                self._drawing.draw(event)
-            except Exception as exc:  # noqa: BLE001  no value may end the recording
-                self._num_failed += 1
-                self._failure = self._failure or f"{type(exc).__name__}: {exc}"
-        recording.disconnect()
+        try:
+            self._drawing.start()
+            for event in self._queue:
+                self._draw(event)
+        finally:
+            recording.disconnect()
+
+    def _draw(self, event: Event) -> None:
+        try:
+            self._drawing.draw(event)
+        except Exception as exc:  # noqa: BLE001  no value may end the recording
+            self._num_failed += 1
+            self._failure = self._failure or f"{type(exc).__name__}: {exc}"

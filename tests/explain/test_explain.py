@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,8 @@ from fake_link import FakeCamera, FakeLink
 
 from dronemon import cli
 from dronemon.errors import DronemonError, OptionError, RecordError
-from dronemon.events import Decided, Event
+from dronemon.events import Audience, Decided, Event
+from dronemon.explain import video
 from dronemon.explain.figure import caption, draw
 from dronemon.explain.replay import replay
 from dronemon.mission import load_mission
@@ -25,7 +27,7 @@ from dronemon.policy import Card, NetworkConfig, PolicyNetwork, save_checkpoint
 from dronemon.recorder import RunFolder, RunRecorder
 from dronemon.runner import FlightSetup, Interrupts, fly_mission
 from dronemon.runner.history import read_history
-from dronemon.types import Detection, Pose
+from dronemon.types import Detection, ImageArray, Pose
 
 MISSION = """
 name: small
@@ -56,6 +58,8 @@ class Sometimes:
 
 class Impatient:
     """A person who ends the flight after so many decisions."""
+
+    lost = ""
 
     def __init__(self, interrupts: Interrupts, most: int) -> None:
         self.interrupts, self.left = interrupts, most
@@ -95,7 +99,7 @@ async def fly(folder: Path, most: int, *, is_new: bool) -> None:
                     ),
                     priors_au=PRIORS_AU,
                     record=recorder,
-                    watchers=(Impatient(interrupts, most),),
+                    audience=Audience((Impatient(interrupts, most),)),
                     interrupts=interrupts,
                     history=None
                     if is_new
@@ -294,3 +298,17 @@ def test_a_film_that_cannot_be_made_is_refused(flown: Path, tmp_path: Path, name
     (tmp_path / "there.gif").write_text("")
     with pytest.raises(OptionError, match=r"--to .*(ends with|is there already)"):
         cli.app(["video", str(flown), "--to", str(tmp_path / name)], standalone_mode=False)
+
+
+def test_a_film_that_is_cut_short_is_not_left_behind(
+    flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_some(frames: Iterator[ImageArray], path: Path, rate: float) -> None:
+        write(itertools.islice(frames, 2), path, rate)  # as OpenCV does on a full disk: silently
+
+    write = video._write_mp4
+    monkeypatch.setattr(video, "_DPI", 20)
+    monkeypatch.setattr(video, "_write_mp4", write_some)
+    with pytest.raises(OptionError, match="is the disk full"):
+        cli.app(["video", str(flown), "--to", str(tmp_path / "a.mp4")], standalone_mode=False)
+    assert list(tmp_path.iterdir()) == []

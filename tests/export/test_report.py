@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,9 +12,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import virtual_time
+from small_flight import fly
 
 from dronemon import cli
 from dronemon.errors import OptionError, RecordError
+from dronemon.export.story import read_story
+from dronemon.planner import create_planner
 from dronemon.recorder import RunFolder
 from dronemon.report.flight import GRID_SIZE, read_flight
 
@@ -55,11 +60,33 @@ def test_a_page_needs_nothing_else_and_says_what_was_seen(flown: Path, tmp_path:
     assert "Reserve & <north>" in words
     num_seen = len(read_flight(RunFolder.open(flown)).story.sightings)
     assert f"Bella <1> (cow) {num_seen} times" in words
-    assert "Zürä (zebra) never" in words
+    assert r"_Zürä $\frac{$ (zebra) never" in words
     assert "Outcome: completed. The drone is down." in words
     for svg in text.split("<svg")[1:]:  # whole, whatever the names are
         ElementTree.fromstring("<svg" + svg[: svg.index("</svg>")] + "</svg>")
     assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_redacted_page_says_nowhere_exactly_where(flown: Path, tmp_path: Path) -> None:
+    report(flown, "--out", tmp_path / "page.html", "--redact", "1000")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    whole = read_story(RunFolder.open(flown))
+    for place in (*whole.corners, *(s.place for s in whole.sightings)):
+        assert f"{place.latitude_deg:.6f}" not in text
+        assert f"{place.longitude_deg:.6f}" not in text
+    words = " ".join(" ".join(Page(text).words).split())
+    assert "places to 1000 m" in words
+    assert re.search(r"± 7\d\d", words)
+    assert "as it may say where" in words
+    assert str(flown.parent) not in text
+
+
+def test_a_picture_that_is_not_the_reports_is_kept(flown: Path, tmp_path: Path) -> None:
+    (tmp_path / "page.png").write_text("precious")
+    for out, words in (("page.html", "is there already"), ("page.png", r"ends with \.html")):
+        with pytest.raises(OptionError, match=words):
+            report(flown, "--out", tmp_path / out)
+    assert (tmp_path / "page.png").read_text() == "precious"
 
 
 def test_what_the_report_reckons(flown: Path) -> None:
@@ -132,7 +159,7 @@ def test_a_moment_is_drawn(flown: Path, tmp_path: Path, has_truth: bool) -> None
         seen = RunFolder.open(run).observations()
         told = [{"time_s": o["time_s"], "targets_au": [[0.3, 0.3], [0.8, 0.8]]} for o in seen]
         (run / "truth.jsonl").write_text("".join(json.dumps(t) + "\n" for t in told))
-    for name, options in (("a.png", ()), ("b.svg", ("--at", "0.5"))):
+    for name, options in (("a.png", ()), ("b.svg", ("--at", "0.5")), ("c.pdf", ("--at", "0"))):
         words = ["picture", str(run), "--to", str(tmp_path / name), *options]
         with pytest.raises(SystemExit) as ended:
             cli.app(words, standalone_mode=False)
@@ -144,20 +171,13 @@ def test_a_moment_is_drawn(flown: Path, tmp_path: Path, has_truth: bool) -> None
             cli.app(words, standalone_mode=False)
 
 
-def test_another_planner_is_asked_at_each_decision(
-    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("kind", ["lawnmower", "search"])
+def test_a_planner_that_is_asked_again_answers_as_it_flew(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def replay(planner: str, to: Path) -> list[dict[str, str]]:
-        with pytest.raises(SystemExit):
-            cli.app(
-                ["replay", str(flown), "--planner", planner, "--to", str(to)],
-                standalone_mode=False,
-            )
-        assert (to / "replay.png").read_bytes().startswith(b"\x89PNG")
-        return list(csv.DictReader((to / "replay.csv").read_text().splitlines()))
-
-    decisions = list(RunFolder.open(flown).decisions())
-    own = replay("lawnmower", tmp_path / "own")
+    virtual_time.run(fly(tmp_path, create_planner(kind)))
+    decisions = list(RunFolder.open(tmp_path / "run").decisions())
+    own = replay(tmp_path / "run", kind, tmp_path / "own")
     assert "the same waypoint" in capsys.readouterr().out
     for row, decision in zip(own, decisions, strict=True):
         for what, key in (
@@ -167,8 +187,16 @@ def test_another_planner_is_asked_at_each_decision(
         ):
             told = float(row[f"{what}_x_au"]), float(row[f"{what}_y_au"])
             assert told == pytest.approx(decision[key], abs=1e-9)
-    other = replay("search", tmp_path / "other")
+    other = replay(tmp_path / "run", "tsp", tmp_path / "other")
     assert any(a["otherwise_x_au"] != b["otherwise_x_au"] for a, b in zip(own, other, strict=True))
+
+
+def replay(run: Path, planner: str, to: Path) -> list[dict[str, str]]:
+    words = ["replay", str(run), "--planner", planner, "--to", str(to)]
+    with pytest.raises(SystemExit):
+        cli.app(words, standalone_mode=False)
+    assert (to / "replay.png").read_bytes().startswith(b"\x89PNG")
+    return list(csv.DictReader((to / "replay.csv").read_text().splitlines()))
 
 
 def test_what_cannot_be_replayed_says_so(flown: Path, tmp_path: Path) -> None:

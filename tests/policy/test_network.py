@@ -221,7 +221,7 @@ def explained_all(reference: Reference, atol: float) -> None:
         _, explained = explain(
             memory, frames[:, t], mask[:, t], lengths_au[:, t], nodes[:, t], tracks[:, t]
         )
-        for b, each in enumerate(explained):
+        for b, each in enumerate(explained()):
             allowed = graphs.neighbour_mask[b, nodes[b, t]]
             noted = reference.weights[b * length + t]
             known = mask[b, t, : noted[0].shape[-1]]

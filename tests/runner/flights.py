@@ -13,7 +13,7 @@ import numpy as np
 import virtual_time
 from fake_link import FakeCamera, FakeLink
 
-from dronemon.events import Event, Noted
+from dronemon.events import Audience, Event, Noted
 from dronemon.guard import Reason
 from dronemon.mission import load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
@@ -65,6 +65,8 @@ class Blind:
 
 class Listener:
     """Keeps what it is told; `on_note` may act on it."""
+
+    lost = ""
 
     def __init__(self) -> None:
         self.events: list[Event] = []
@@ -118,7 +120,7 @@ class Flight:
                     planner=self.planner,
                     priors_au=np.array([[0.4, 0.6]]),
                     record=self.record,
-                    watchers=(self.view,),
+                    audience=Audience((self.view,)),
                     interrupts=self.interrupts,
                     settings=self.settings,
                     history=self.history,

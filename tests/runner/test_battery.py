@@ -15,7 +15,7 @@ from fake_link import ORIGIN, FakeCamera, FakeLink
 from flights import Blind, Listener
 from windy_vehicle import WindyVehicle
 
-from dronemon.events import Measured, Progressed
+from dronemon.events import Audience, Measured, Progressed
 from dronemon.mission import load_mission
 from dronemon.mission.schema import Flight
 from dronemon.planner import Briefing, Snapshot, Waypoint
@@ -74,7 +74,7 @@ def _fly(
                     planner=AtCorner(corner_au),
                     priors_au=np.full((1, 2), np.nan),
                     record=listener,
-                    watchers=(),
+                    audience=Audience(),
                     interrupts=Interrupts(),
                 )
             )

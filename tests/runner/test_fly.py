@@ -18,7 +18,7 @@ from simulated_vehicle import StartMockVehicle, free_udp_port
 from dronemon.assembly import make_detector
 from dronemon.camera import SimulatedCamera
 from dronemon.errors import CameraError, ControlTaken, LinkLost, RecordError
-from dronemon.events import Event, Measured, Noted
+from dronemon.events import Audience, Event, Measured, Noted
 from dronemon.mission import load_mission
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.recorder import RunRecorder
@@ -41,8 +41,10 @@ targets:
 OFFBOARD = 393216  # PX4's custom mode
 
 
-class Audience:
+class Listener:
     """Keeps what it is told; `on_note` may act on it."""
+
+    lost = ""
 
     def __init__(self) -> None:
         self.kinds: list[str] = []
@@ -61,7 +63,7 @@ class Rehearsal:
         self.path = tmp_path / "small.yaml"
         self.path.write_text(MISSION)
         self.out = tmp_path / "run"
-        self.audience = Audience()
+        self.listener = Listener()
         self.interrupts = Interrupts()
         self._start = start
 
@@ -87,7 +89,7 @@ class Rehearsal:
                             planner=Lawnmower(),
                             priors_au=np.array([[0.4, 0.6]]),
                             record=recorder,
-                            watchers=(view, self.audience),
+                            audience=Audience((view, self.listener)),
                             interrupts=self.interrupts,
                         )
                     )
@@ -151,13 +153,13 @@ def test_the_pilot_takes_over_and_gives_back(rehearsal: Rehearsal):
                 pass  # heartbeats from before
             pilot.start()
 
-    rehearsal.audience.on_note = when_taken
+    rehearsal.listener.on_note = when_taken
     try:
         result = rehearsal.fly("--fault", "pilot@40", "--mavlink-out", f"127.0.0.1:{port}")
     finally:
         pilot.join()
         station.close()
-    kinds = rehearsal.audience.kinds
+    kinds = rehearsal.listener.kinds
     assert kinds.index("control taken") < kinds.index("control given back")
     assert result.outcome == "completed"
     assert result.is_landed
@@ -169,11 +171,11 @@ def test_nothing_is_commanded_while_the_pilot_flies(rehearsal: Rehearsal):
             rehearsal.interrupts.request()
             rehearsal.interrupts.request()
 
-    rehearsal.audience.on_note = give_up
+    rehearsal.listener.on_note = give_up
     result = rehearsal.fly("--fault", "pilot@40")
     assert result.outcome == "pilot"
     assert not result.is_landed
-    assert "homecoming" not in rehearsal.audience.kinds
+    assert "homecoming" not in rehearsal.listener.kinds
 
 
 def test_the_pilot_wins_during_take_off_too(rehearsal: Rehearsal):
@@ -182,11 +184,11 @@ def test_the_pilot_wins_during_take_off_too(rehearsal: Rehearsal):
             rehearsal.interrupts.request()
             rehearsal.interrupts.request()
 
-    rehearsal.audience.on_note = give_up
+    rehearsal.listener.on_note = give_up
     result = rehearsal.fly("--fault", "pilot@5")
     assert result.outcome == "pilot"
-    assert "airborne" not in rehearsal.audience.kinds
-    assert "homecoming" not in rehearsal.audience.kinds
+    assert "airborne" not in rehearsal.listener.kinds
+    assert "homecoming" not in rehearsal.listener.kinds
 
 
 def test_a_pilot_whose_link_is_silent_for_a_while_is_not_fought(rehearsal: Rehearsal):
@@ -198,10 +200,10 @@ def test_a_pilot_whose_link_is_silent_for_a_while_is_not_fought(rehearsal: Rehea
         if kind == "control taken":
             asyncio.get_running_loop().call_later(8.0, ask_twice)
 
-    rehearsal.audience.on_note = end_later
+    rehearsal.listener.on_note = end_later
     result = rehearsal.fly("--fault", "pilot@40", "--fault", "silence@45+80")
     assert result.outcome == "pilot"
-    assert "homecoming" not in rehearsal.audience.kinds
+    assert "homecoming" not in rehearsal.listener.kinds
 
 
 def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
@@ -210,7 +212,7 @@ def test_a_failsafe_is_left_to_land(rehearsal: Rehearsal):
     assert isinstance(result.error, ControlTaken)
     assert result.error.by_failsafe
     assert result.is_landed
-    assert "homecoming" not in rehearsal.audience.kinds
+    assert "homecoming" not in rehearsal.listener.kinds
 
 
 def test_lost_gps_ends_the_patrol(rehearsal: Rehearsal):

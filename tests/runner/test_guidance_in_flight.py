@@ -8,7 +8,7 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from flights import (
 from dronemon.errors import (
     PlannerError,
 )
-from dronemon.events import Decided, Noted, Progressed
+from dronemon.events import Attended, Decided, Noted, Progressed
 from dronemon.guard import Reason
 from dronemon.json_values import json_line
 from dronemon.planner import Snapshot, Waypoint
@@ -141,6 +141,23 @@ def test_a_height_that_jumps_is_followed_not_chased(flight):
     flight.when("patrol", lambda: flight.later(2.0, jump))
     assert flight.fly().outcome == "completed"
     assert flown_m == [pytest.approx(26.0)]
+
+
+def test_a_planner_that_cannot_say_what_it_looked_at_flies_on(flight):
+    asked = []
+
+    def explanation():
+        asked.append(flight.link.time_s)
+        if len(asked) > 1:  # not in the rehearsal, which no flight in memory has
+            raise RuntimeError("no weights")
+        return SimpleNamespace(arrays=lambda: {"pointer": np.array([1.0])})
+
+    flight.planner.explanation = explanation
+    result = flight.fly()
+    assert result.outcome == "completed", result.error
+    assert len(asked) > 3
+    attended = [event for event in flight.view.events if isinstance(event, Attended)]
+    assert [event.weights["pointer"].tolist() for event in attended] == [[1.0]]
 
 
 def test_while_a_planner_hangs_the_drone_stays_at_its_waypoint_and_then_goes_on(flight):

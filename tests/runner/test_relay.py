@@ -17,7 +17,7 @@ from fake_link import ORIGIN, FakeCamera, FakeLink
 from flights import Blind, Listener, Shuttle
 
 from dronemon.errors import RecordError, VehicleError
-from dronemon.events import Noted, Progressed
+from dronemon.events import Audience, Noted, Progressed
 from dronemon.frames import ned_to_geo
 from dronemon.mission import Mission, load_mission
 from dronemon.mission.checks import battery_problem
@@ -117,7 +117,7 @@ class Wait:
                 planner=Shuttle(),
                 priors_au=np.full((1, 2), np.nan),
                 record=record,
-                watchers=(self.watch,),
+                audience=Audience((self.watch,)),
                 interrupts=self.interrupts,
                 folder=self.folder.path,
             )

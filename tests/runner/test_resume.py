@@ -18,6 +18,7 @@ from flights import Listener
 
 from dronemon.clock import machine_time
 from dronemon.errors import RecordError
+from dronemon.events import Audience
 from dronemon.frames import GeoPoint, ned_to_geo
 from dronemon.mission import MissionFile, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
@@ -109,7 +110,7 @@ class Story:
                         planner=self.planner,
                         priors_au=PRIORS_AU,
                         record=recorder,
-                        watchers=(self.watch,),
+                        audience=Audience((self.watch,)),
                         interrupts=Interrupts(),
                         folder=self.path,
                         history=None if is_new else read_history(folder, mission, PRIORS_AU),

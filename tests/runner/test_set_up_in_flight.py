@@ -13,6 +13,7 @@ from dronemon.errors import (
     CommandRejected,
     VehicleError,
 )
+from dronemon.events import Audience
 from dronemon.guard import Reason
 from dronemon.mission import load_mission
 from dronemon.preflight import Finding, Verdict, against
@@ -61,7 +62,7 @@ def test_preflight_of_a_vehicle_that_others_fly_is_no_go(tmp_path, height_m):
                 planner=Shuttle(),
                 priors_au=np.array([[0.4, 0.6]]),
                 record=Listener(),
-                watchers=(),
+                audience=Audience(),
                 interrupts=Interrupts(),
             )
             findings = await inspect_vehicle(setup, print, lambda findings: None)
