@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from rerun.experimental import ViewerClient
 
-from dronemon.mission import load_mission
-from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.recorder import RunFolder
 from dronemon.viz.entities import TIMELINE
 from dronemon.viz.page import free_port, rerun_program
 
@@ -34,7 +33,7 @@ def main() -> None:
     parser.add_argument("--at", type=float, default=12.0, metavar="AU")
     options = parser.parse_args()
     folder = RunFolder.open(options.run)
-    mission = load_mission(options.run / MISSION_FILE).mission
+    mission = folder.mission()
     start_s = next(event["start_s"] for event in folder.events() if "start_s" in event)
     with ViewerClient.spawn(
         headless=True,

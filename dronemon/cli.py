@@ -165,7 +165,7 @@ def fly_command(
         from dronemon.viewing import show
 
         try:
-            show(folder, checked.mission.view.port, "set another view.port in the mission")
+            show(folder, checked.mission.view.port)
         except DronemonError as exc:
             print_error(str(exc))
             code = code or exc.exit_code
@@ -255,12 +255,11 @@ def check(
 @app.command("status")
 def status_command(run: RunArgument, as_json: AsJson = False) -> None:
     """Tell how far a flight is, from any terminal."""
-    from dronemon.mission import load_mission
-    from dronemon.recorder import MISSION_FILE, RunFolder
+    from dronemon.recorder import RunFolder
     from dronemon.runner.status import status
 
     folder = RunFolder.open(run)
-    mission = load_mission(run / MISSION_FILE).mission
+    mission = folder.mission()
     print_facts(f"{run}: {mission.name}", status(folder, mission), as_json)
 
 

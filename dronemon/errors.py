@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from pathlib import Path
 
 
 class DronemonError(Exception):
@@ -125,6 +126,16 @@ class ViewError(DronemonError):
     """The recording or the live view cannot be started."""
 
     exit_code = 7
+
+
+@contextlib.contextmanager
+def writing(option: str, path: Path) -> Iterator[None]:
+    """What a command leaves is written meanwhile. Raises OptionError with what is in the way."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as exc:
+        raise OptionError(f"{option} {path}: cannot be written: {exc.strerror or exc}") from exc
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ import json
 import sys
 import threading
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 from unicodedata import category
 
@@ -190,6 +191,11 @@ def print_facts(title: str, facts: Mapping[str, str], as_json: bool) -> None:
         sys.stdout.write(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
     else:
         console.print(facts_table(title, facts))
+
+
+def print_path(path: Path) -> None:
+    """Say where something was written, as it can be copied."""
+    console.print(path, soft_wrap=True, markup=False, highlight=False)
 
 
 def print_error(message: str) -> None:

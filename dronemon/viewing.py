@@ -21,20 +21,20 @@ PortOption = Annotated[int, typer.Option(min=1024, max=65535, help="Of the data,
 
 def view_command(run: RunArgument, port: PortOption = _PORT) -> None:
     """Look at a flight's recording: in a window, or without a display on a page of this machine."""
-    show(RunFolder.open(run), port, "choose another --port")
+    show(RunFolder.open(run), port)
 
 
-def show(folder: RunFolder, port: int, other_port: str) -> None:
+def show(folder: RunFolder, port: int) -> None:
     """Show a run's recordings until the window is closed or a person ends it.
 
-    other_port: how to choose another one, for the error. Raises RecordError, ViewError.
+    Raises RecordError, ViewError.
     """
     recordings = [folder.path / name for name in folder.recordings()]
     if not recordings:
         raise RecordError(f"{folder.path}: no recording: the flight ended before one was begun")
     for name in {path.name for path in recordings} & set(folder.damaged_files()):
         print_warning(f"{folder.path / name} is not as the flight left it")
-    viewer = find_viewer(port, other_port)
+    viewer = find_viewer(port)
     console.print(viewer.where, soft_wrap=True, markup=False)
     console.print("Ctrl-C ends it")
     for number in (signal.SIGTERM, signal.SIGHUP):

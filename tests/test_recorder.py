@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from dronemon.errors import RecordError
 from dronemon.events import AreaLaid, Decided, Measured, Moved, Noted, Stretch
@@ -101,7 +100,7 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
         (run.folder.rrd_path).write_bytes(b"RRF2")
         run.finish("landed", {"unc": 0.5, "jsd": float("nan"), "min_ob": np.int64(3)})
     folder = RunFolder.open(run.folder.path)
-    assert Mission.model_validate(yaml.safe_load(folder.mission_text())) == MISSION
+    assert folder.mission() == MISSION
     (observation,) = folder.observations()
     assert observation == {
         "number": 1,

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from dronemon.errors import OptionError
+from dronemon.errors import writing
 from dronemon.explain.figure import caption, draw
 from dronemon.explain.replay import replay
 from dronemon.recorder import RunFolder
@@ -34,12 +34,9 @@ def explain_command(run: RunArgument, out: OutOption, decision: DecisionOption =
     """
     replayed = replay(RunFolder.open(run), decision)
     picture = out / f"decision-{replayed.number}.png"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with writing("--out", picture):
         draw(replayed, picture)
         np.savez(picture.with_suffix(".npz"), **replayed.arrays())
-    except OSError as exc:
-        raise OptionError(f"--out {out}: cannot be written: {exc.strerror}") from exc
     console.print(caption(replayed), markup=False, highlight=False)
     console.print(
         f"{picture} and .npz; logits as recorded to {replayed.logit_error:.0e}",

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dronemon.errors import PlannerError, RecordError, blaming
-from dronemon.mission import Mission, load_mission
+from dronemon.mission import Mission
 from dronemon.planner import Planner, Snapshot
-from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.recorder import RunFolder
 from dronemon.runner.history import recorded, understanding
 from dronemon.runner.preparation import brief, draw_start_and_roadmap, make_belief
 from dronemon.sightings import Sightings
@@ -55,7 +55,7 @@ class Decisions:
 
 def read_decisions(folder: RunFolder) -> Decisions:
     """Read a run. Raises RecordError if no decision was made."""
-    mission = load_mission(folder.path / MISSION_FILE).mission
+    mission = folder.mission()
     with understanding(folder):
         made = list(_decisions(folder))
         if not made:

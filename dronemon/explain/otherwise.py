@@ -14,15 +14,15 @@ import typer
 from matplotlib.figure import Figure
 
 from dronemon.arena import ARENA
-from dronemon.errors import OptionError, PlannerError, blaming
+from dronemon.errors import PlannerError, blaming, writing
 from dronemon.explain.decisions import begin_anew, read_decisions
 from dronemon.feasibility import make_planner
 from dronemon.flight_options import RunArgument
-from dronemon.mission import Mission, load_mission
+from dronemon.mission import Mission
 from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Planner, Snapshot
 from dronemon.planner.motion import waypoint_flaw
-from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.recorder import RunFolder
 from dronemon.terminal import console, facts_table
 from dronemon.types import FloatArray
 
@@ -71,15 +71,12 @@ def replay_command(
     come to is for `dronemon evaluate`.
     """
     folder = RunFolder.open(run)
-    mission = load_mission(run / MISSION_FILE).mission
+    mission = folder.mission()
     section = PlannerSection(kind=planner, checkpoint=checkpoint)
     choices = decide_otherwise(folder, make_planner(section))
-    try:
-        to.mkdir(parents=True, exist_ok=True)
+    with writing("--to", to / "replay.csv"):
         _write(choices, to / "replay.csv")
         _draw(choices, mission, planner).savefig(to / "replay.png", dpi=110)
-    except OSError as exc:
-        raise OptionError(f"--to {to}: cannot be written: {exc.strerror}") from exc
     console.print(
         facts_table(f"{run}: {mission.planner.kind}, and {planner}", _facts(choices, mission))
     )

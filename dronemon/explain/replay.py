@@ -13,11 +13,10 @@ import torch
 from dronemon.errors import OptionError, RecordError
 from dronemon.explain.decisions import Decision, Decisions, begin_anew, read_decisions
 from dronemon.feasibility import make_planner
-from dronemon.mission import load_mission
 from dronemon.planner import Waypoint, has_weights
 from dronemon.planner.learned import LearnedPlanner
 from dronemon.policy import Explanation
-from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.recorder import RunFolder
 from dronemon.runner.history import understanding
 from dronemon.types import FloatArray
 
@@ -85,7 +84,7 @@ def replay_all(folder: RunFolder) -> tuple[int, Iterator[Replay]]:
 
 
 def _read(folder: RunFolder) -> Decisions:
-    kind = load_mission(folder.path / MISSION_FILE).mission.planner.kind
+    kind = folder.mission().planner.kind
     if not has_weights(kind):
         raise OptionError(
             f"{folder.path} was flown by planner {kind!r}, which has no attention;"

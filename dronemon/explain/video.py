@@ -14,14 +14,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 from rich.progress import track
 
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, writing
+from dronemon.explain.command import RunArgument
 from dronemon.explain.figure import draw_maps
 from dronemon.explain.replay import Replay, replay_all
 from dronemon.recorder import RunFolder
-from dronemon.terminal import console
+from dronemon.terminal import console, print_path
 from dronemon.types import ImageArray
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder of planner `stamp`.")]
 ToOption = Annotated[Path, typer.Option("--to", help="The film: .mp4 or .gif.", show_default=False)]
 RateOption = Annotated[float, typer.Option(min=0.5, max=60.0, help="Decisions a second.")]
 _SIZE_IN, _DPI = (13.0, 7.0), 80
@@ -36,17 +36,15 @@ def video_command(run: RunArgument, to: ToOption, rate: RateOption = 6.0) -> Non
     count, replays = replay_all(RunFolder.open(run))
     frames = (_frame(replay) for replay in track(replays, "drawing", total=count, console=console))
     part = to.with_name(f".part-{to.name}")
-    try:
-        to.parent.mkdir(parents=True, exist_ok=True)
-        (_write_gif if to.suffix == ".gif" else _write_mp4)(frames, part, rate)
-        if to.suffix == ".mp4" and _num_frames(part) != count:  # OpenCV tells of no full disk
-            raise OSError("not all of it could be written; is the disk full?")
-        part.replace(to)
-    except OSError as exc:
-        raise OptionError(f"--to {to}: cannot be written: {exc.strerror or exc}") from exc
-    finally:
-        part.unlink(missing_ok=True)
-    console.print(to, soft_wrap=True, markup=False, highlight=False)
+    with writing("--to", to):
+        try:
+            (_write_gif if to.suffix == ".gif" else _write_mp4)(frames, part, rate)
+            if to.suffix == ".mp4" and _num_frames(part) != count:  # OpenCV tells of no full disk
+                raise OSError("not all of it could be written; is the disk full?")
+            part.replace(to)
+        finally:
+            part.unlink(missing_ok=True)
+    print_path(to)
 
 
 def _frame(replay: Replay) -> ImageArray:

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, writing
 from dronemon.export.formats import FORMATS, write_all
 from dronemon.export.story import read_story, redacted
 from dronemon.flight_options import RedactOption, RunArgument
 from dronemon.recorder import RunFolder
-from dronemon.terminal import console
+from dronemon.terminal import console, print_path
 
 ToOption = Annotated[Path, typer.Option("--to", help="Folder for the files.", show_default=False)]
 
@@ -24,12 +24,10 @@ def export_command(run: RunArgument, to: ToOption, redact: RedactOption = None) 
         story = redacted(story, redact)
     if taken := [name for name in FORMATS if (to / name).exists()]:
         raise OptionError(f"--to {to}: already holds {', '.join(taken)}; choose another folder")
-    try:
+    with writing("--to", to):
         written = write_all(story, to)
-    except OSError as exc:
-        raise OptionError(f"--to {to}: cannot be written: {exc.strerror}") from exc
     for path in written:
-        console.print(path, soft_wrap=True, markup=False, highlight=False)
+        print_path(path)
     num_targets = len({sighting.target for sighting in story.sightings})
     told = {"sighting": len(story.sightings), "target": num_targets, "place": len(story.track)}
     seen, targets, places = (f"{n} {word}{'' if n == 1 else 's'}" for word, n in told.items())

@@ -13,8 +13,8 @@ from dronemon.arena import ARENA
 from dronemon.camera import crop_path
 from dronemon.errors import RecordError
 from dronemon.frames import GeoPoint
-from dronemon.mission import Mission, load_mission
-from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.mission import Mission
+from dronemon.recorder import RunFolder
 from dronemon.runner.history import Laid, understanding
 
 _EARTH_DEGREE_M = 111_320.0
@@ -69,7 +69,7 @@ class Story:
 
 def read_story(folder: RunFolder) -> Story:
     """Read a run, finished or not. Raises RecordError if it has no places."""
-    mission = load_mission(folder.path / MISSION_FILE).mission
+    mission = folder.mission()
     with understanding(folder):
         laid = [Laid.told_by(event) for event in folder.events() if event["kind"] == "ready"]
         if not laid:

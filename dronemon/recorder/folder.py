@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dronemon.errors import RecordError
+from dronemon.mission import Mission, load_mission
 
 MISSION_FILE = "mission.yaml"
 OBSERVATIONS_FILE = "observations.jsonl"
@@ -67,9 +68,9 @@ class RunFolder:
             return self.rrd_path
         return self.path / f"flight-{len(self.recordings()) + 1}.rrd"
 
-    def mission_text(self) -> str:
-        """Read the mission as flown."""
-        return (self.path / MISSION_FILE).read_bytes().decode()
+    def mission(self) -> Mission:
+        """Read the mission as flown. Raises MissionFileError."""
+        return load_mission(self.path / MISSION_FILE).mission
 
     def summary(self) -> dict[str, Any]:
         """Read the summary; its outcome is `in flight` if the program never came to the end."""

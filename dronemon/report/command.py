@@ -8,14 +8,14 @@ from typing import Annotated
 import typer
 
 from dronemon.durable import replace_text
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, writing
 from dronemon.flight_options import RedactOption, RunArgument
 from dronemon.recorder import RunFolder
 from dronemon.report.figures import draw_map, save_png
 from dronemon.report.flight import read_flight
 from dronemon.report.page import page
 from dronemon.runner.history import understanding
-from dronemon.terminal import console
+from dronemon.terminal import print_path
 
 OutOption = Annotated[
     Path | None,
@@ -37,11 +37,8 @@ def report_command(run: RunArgument, out: OutOption = None, redact: RedactOption
     flight = read_flight(RunFolder.open(run), 0.0 if redact is None else redact)
     with understanding(flight.folder):
         told = page(flight)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with writing("--out", path):
         replace_text(path, told)
         save_png(draw_map(flight), picture)
-    except OSError as exc:
-        raise OptionError(f"--out {path}: cannot be written: {exc.strerror}") from exc
-    for written in (path, picture):
-        console.print(written, soft_wrap=True, markup=False, highlight=False)
+    print_path(path)
+    print_path(picture)

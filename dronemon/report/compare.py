@@ -13,8 +13,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from dronemon.flight_options import AsJson
-from dronemon.mission import load_mission
-from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.recorder import RunFolder
 from dronemon.runner.history import understanding
 from dronemon.runner.watch import span
 from dronemon.terminal import console
@@ -67,7 +66,7 @@ def compare(folders: Sequence[RunFolder]) -> list[dict[str, Any]]:
 
 def _row(folder: RunFolder) -> dict[str, Any]:
     summary = folder.summary()
-    mission = load_mission(folder.path / MISSION_FILE).mission
+    mission = folder.mission()
     with understanding(folder):
         unseen_s = [watched["longest_unseen_s"] for watched in summary.get("watched", {}).values()]
         known = summary | {

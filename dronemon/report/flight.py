@@ -13,9 +13,9 @@ from dronemon.belief import Belief
 from dronemon.errors import RecordError
 from dronemon.export.story import Story, coarse, read_story, redacted
 from dronemon.frames import AreaFrame, GeoPoint
-from dronemon.mission import Mission, load_mission
+from dronemon.mission import Mission
 from dronemon.problem import SENSOR_RADIUS_AU
-from dronemon.recorder import MISSION_FILE, RunFolder
+from dronemon.recorder import RunFolder
 from dronemon.runner.history import Laid, recorded, understanding
 from dronemon.runner.preparation import make_belief
 from dronemon.runner.watch import Watched, watch
@@ -78,7 +78,7 @@ def read_flight(folder: RunFolder, cell_m: float = 0.0) -> Flight:
     story = read_story(folder)
     if cell_m:
         story = redacted(story, cell_m)
-    mission = load_mission(folder.path / MISSION_FILE).mission
+    mission = folder.mission()
     with understanding(folder):
         events, lines = list(folder.events()), list(folder.observations())
         if not lines:

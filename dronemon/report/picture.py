@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from matplotlib.patches import Circle
 
 from dronemon.arena import ARENA
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, writing
 from dronemon.flight_options import RunArgument
 from dronemon.palette import belief_rgb, on_paper
 from dronemon.problem import SENSOR_RADIUS_AU
@@ -23,7 +23,7 @@ from dronemon.recorder import RunFolder
 from dronemon.report.flight import Flight, beliefs_at, read_flight
 from dronemon.runner.summary import truth_at
 from dronemon.simulator import read_truth
-from dronemon.terminal import console
+from dronemon.terminal import print_path
 from dronemon.types import FloatArray, ImageArray
 from dronemon.viz.recorded import Marked, picture_of
 
@@ -46,12 +46,11 @@ def picture_command(run: RunArgument, to: ToOption, at: AtOption = None) -> None
         raise OptionError(f"--at {at:g}: the last picture is of {times_au[-1]:.1f} au")
     count = len(times_au) if at is None else max(1, int(np.searchsorted(times_au, at, "right")))
     figure = draw(folder, flight, count)
-    try:
-        to.parent.mkdir(parents=True, exist_ok=True)
+    if to.suffix.removeprefix(".") not in figure.canvas.get_supported_filetypes():
+        raise OptionError(f"--to {to}: give a name that ends with .png, .svg or .pdf")
+    with writing("--to", to):
         figure.savefig(to, dpi=150)
-    except (OSError, ValueError) as exc:
-        raise OptionError(f"--to {to}: cannot be written: {exc}") from exc
-    console.print(to, soft_wrap=True, markup=False, highlight=False)
+    print_path(to)
 
 
 def _truth_au(folder: RunFolder) -> FloatArray | None:

@@ -36,10 +36,12 @@ class Viewer:
 
     command: takes recordings by name, or one on its standard input for `-`
     url:     of the page; None where a window opens
+    ports:   on which page and data are served
     """
 
     command: tuple[str, ...]
-    url: str | None
+    url: str | None = None
+    ports: tuple[int, ...] = ()
 
     @property
     def where(self) -> str:
@@ -48,30 +50,30 @@ class Viewer:
             return "a window of the Rerun viewer opens"
         if "SSH_CONNECTION" not in os.environ:
             return self.url
-        ports = [word for word in self.command if word.isdecimal()]
-        tunnels = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in ports)
+        tunnels = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in self.ports)
         return f"{self.url}\n(from where you sit, first: ssh -N {tunnels} {socket.gethostname()})"
 
 
-def find_viewer(data_port: int, other_port: str) -> Viewer:
+def find_viewer(data_port: int) -> Viewer:
     """A window where there is a display, else a page whose data are on a port of loopback.
 
-    other_port: how to choose another one, for the error. Raises ViewError.
+    Raises ViewError.
     """
     if not _is_free(data_port):
         raise ViewError(
             f"port {data_port} on {LOOPBACK} is taken, so nothing can be shown there;"
-            f" end the other viewer or flight, or {other_port}"
+            " end the other viewer or flight, or choose another port (view.port in a mission)"
         )
     ports = ("--bind", LOOPBACK, "--port", str(data_port))
     if _has_display():
-        return Viewer((rerun_program(), *ports), None)
+        return Viewer((rerun_program(), *ports))
     page_port = free_port(PAGE_PORT)
     source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
     serving = ("--serve-web", "--web-viewer-port", str(page_port))
     return Viewer(
         (rerun_program(), *ports, *serving, "--server-memory-limit", SERVER_MEMORY),
         f"http://{LOOPBACK}:{page_port}/?theme=dark&url={source}",
+        (data_port, page_port),
     )
 
 

@@ -91,9 +91,7 @@ class FlightView:
         recording.set_log_time_enabled(False)
         with contextlib.ExitStack() as undo:
             if is_live:
-                self._viewer = find_viewer(
-                    mission.view.port, "set another view.port in the mission"
-                )
+                self._viewer = find_viewer(mission.view.port)
                 self._page = LivePage(self._viewer)
                 undo.callback(self._page.close)
             self._file = RecordingFile(self._rrd_path, self._page)

@@ -165,7 +165,10 @@ def test_a_moment_is_drawn(flown: Path, tmp_path: Path, has_truth: bool) -> None
             cli.app(words, standalone_mode=False)
         assert ended.value.code == 0
         assert (tmp_path / name).stat().st_size > 10_000
-    for options, message in ((("--at", "5"), "last picture"), (("--to", "x.doc"), "written")):
+    for options, message in (
+        (("--at", "5"), "last picture"),
+        (("--to", "x.doc"), "ends with"),
+    ):
         words = ["picture", str(run), "--to", str(tmp_path / "c.png"), *options]
         with pytest.raises(OptionError, match=message):
             cli.app(words, standalone_mode=False)

@@ -673,7 +673,7 @@ def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
 def test_by_ssh_it_is_said_how_to_get_to_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     port = free_port()
     monkeypatch.setenv("SSH_CONNECTION", "10.0.0.1 50000 10.0.0.2 22")
-    viewer = find_viewer(port, "choose another")
+    viewer = find_viewer(port)
     assert viewer.url is not None
     page_port = urlsplit(viewer.url).port
     assert f"-L {port}:127.0.0.1:{port} -L {page_port}:127.0.0.1:{page_port}" in viewer.where
@@ -682,7 +682,7 @@ def test_by_ssh_it_is_said_how_to_get_to_the_page(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY"])
 def test_on_a_display_a_window_opens(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(name, ":0")
-    viewer = find_viewer(free_port(), "choose another")
+    viewer = find_viewer(free_port())
     assert viewer.url is None
     assert "window" in viewer.where
     assert "--serve-web" not in viewer.command
