@@ -16,11 +16,12 @@ import numpy as np
 from rerun.experimental import ViewerClient
 
 from dronemon.recorder import RunFolder
+from dronemon.types import ImageArray
 from dronemon.viz.entities import TIMELINE
 from dronemon.viz.page import free_port, rerun_program
 
 DOCS = Path(__file__).parent
-WIDTH_PX = 1600
+WIDTH_PX, _TOP_BAR_PX = 1600, 30
 LIMIT_S = 60.0
 _STILL = 0.5
 """Mean difference of two pictures in a row, of 255, below which nothing is loading any more."""
@@ -47,18 +48,19 @@ def main() -> None:
             duration=start_s + options.at * mission.seconds_per_au,
             play_state="paused",
         )
-        (DOCS / "flight.png").write_bytes(_still_picture(viewer))
+        picture = _still_picture(viewer)
+    cv2.imwrite(str(DOCS / "flight.png"), picture[_TOP_BAR_PX:])
 
 
-def _still_picture(viewer: ViewerClient) -> bytes:
+def _still_picture(viewer: ViewerClient) -> ImageArray:
     """A screenshot in which all has loaded."""
     deadline_s, before = time.monotonic() + LIMIT_S, None
     while time.monotonic() < deadline_s:
         time.sleep(2.0)
         png = viewer.take_screenshot(max_size=WIDTH_PX)
-        picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+        picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)
         if before is not None and np.abs(picture.astype(float) - before).mean() < _STILL:
-            return png
+            return picture
         before = picture
     raise TimeoutError(f"the viewer was still drawing after {LIMIT_S:g} s")
 

@@ -59,7 +59,8 @@ def lay_furniture(
     tip = np.array([middle_m, -half_m + 0.5 * row_m])
     shaft = tip + row_m * np.array([[0.0, 1.4], [0.0, 0.0]])
     head = tip + row_m * np.array([[-0.2, 0.3], [0.0, 0.0], [0.2, 0.3]])
-    rec.log("map/furniture/north", lines([shaft, head], GREY, 1.5, labels=["N", ""]), static=True)
+    letter = dots(shaft[:1], GREY, 0.5, labels=["N"])  # below it, where it covers nothing
+    rec.log("map/furniture/north", lines([shaft, head], GREY, 1.5), letter, static=True)
     rows_m = tip[1] + row_m * (2.5 + np.arange(len(names)))
     places = np.stack([np.full(len(names), middle_m), rows_m], axis=-1)
     colors = [target_rgb(number) for number in range(len(names))]
