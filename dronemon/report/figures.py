@@ -14,11 +14,9 @@ from matplotlib.transforms import Affine2D, Transform
 from dronemon.arena import ARENA
 from dronemon.palette import on_paper, round_length_m
 from dronemon.problem import LOST_STD
-from dronemon.report.flight import Flight
+from dronemon.report.flight import RECENTLY_S, Flight
 from dronemon.types import FloatArray
 
-_FOG_S = 600.0
-"""A place that nobody looked at for this long is as grey as one that nobody ever looked at."""
 _SHORT_NAME = 12
 """Letters of a name that leave room for two more beside it."""
 _SHARE_OF_SCALE = 0.3
@@ -71,7 +69,7 @@ def draw_map(flight: Flight) -> Figure:
 def _draw_beliefs(panel: Axes, flight: Flight) -> None:
     """Fog where nobody looked lately, and each target's colour where it is expected."""
     transform = _au_to_map(flight) + panel.transData
-    fog = np.clip(flight.unseen_for_s / _FOG_S, 0.0, 1.0)
+    fog = np.clip(flight.unseen_for_s / RECENTLY_S, 0.0, 1.0)
     layers = [_layer((0.45, 0.48, 0.52), 0.55 * fog)]
     for number, mean in enumerate(flight.mean):
         layers.append(_layer(on_paper(number), 0.85 * np.clip(mean, 0.0, 1.0)))

@@ -23,6 +23,8 @@ from dronemon.types import FloatArray
 
 GRID_SIZE = 60
 """Points of the maps along each axis."""
+RECENTLY_S = 600.0
+"""A place that nobody looked at for this long is as good as never looked at."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

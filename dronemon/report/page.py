@@ -11,14 +11,14 @@ import jinja2
 from matplotlib.colors import to_hex
 
 from dronemon.palette import on_paper
+from dronemon.problem import LOST_STD
 from dronemon.recorder import MISSION_FILE
 from dronemon.report.figures import FIGURES, svg
-from dronemon.report.flight import Flight
+from dronemon.report.flight import RECENTLY_S, Flight
 from dronemon.runner.summary import figures, how_flown
 from dronemon.runner.watch import ago_in_words, seen_in_words, span
 
 _MAX_EVENTS = 150
-_RECENTLY_S = 600.0
 
 
 def page(flight: Flight) -> str:
@@ -38,6 +38,8 @@ def page(flight: Flight) -> str:
         is_bad=not summary.get("is_landed", False) or bool(summary.get("error")),
         targets=[_target(flight, number) for number in range(len(flight.names))],
         coverage=_coverage(flight),
+        recently=span(RECENTLY_S),
+        lost_std=f"{LOST_STD:g}",
         map=drawn["map"],
         targets_figure=drawn["targets"],
         vehicle=drawn["vehicle"],
@@ -75,9 +77,10 @@ def _error(flight: Flight, number: int) -> str:
 
 
 def _coverage(flight: Flight) -> str:
-    ever, lately = flight.share_looked_at(), flight.share_looked_at(_RECENTLY_S)
+    ever, lately = flight.share_looked_at(), flight.share_looked_at(RECENTLY_S)
     return (
-        f"Of the area {ever:.0%} was looked at at least once, {lately:.0%} in the last ten minutes."
+        f"Of the area {ever:.0%} was looked at at least once, {lately:.0%} in the last"
+        f" {span(RECENTLY_S)}."
         " A target that stood still there would have been seen, if the detector misses none."
     )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from fake_link import FakeCamera, FakeLink
 
+from dronemon.belief import Belief
 from dronemon.camera import CropKeeper
 from dronemon.events import Audience
 from dronemon.mission import load_mission
@@ -15,7 +16,9 @@ from dronemon.planner.lawnmower import Lawnmower
 from dronemon.recorder import RunRecorder
 from dronemon.runner import FlightSetup, Interrupts, fly_mission
 from dronemon.runner.summary import summarise
+from dronemon.sightings import Sightings
 from dronemon.types import Detection
+from dronemon.viz import FlightView
 
 MISSION = """
 name: Reserve & <north>
@@ -25,6 +28,9 @@ targets:
   - {name: "Bella <1>", appearance: cow, prior_au: [0.4, 0.6]}
   - {name: "_Zürä $\\\\frac{$", appearance: zebra}
 """
+
+
+PRIORS_AU = np.array([[0.4, 0.6], [np.nan, np.nan]])
 
 
 class Below:
@@ -37,9 +43,13 @@ class Below:
 async def fly(folder: Path, planner: Planner | None = None) -> None:
     (folder / "m.yaml").write_text(MISSION)
     file = load_mission(folder / "m.yaml")
+    Belief(Sightings(PRIORS_AU)).posterior(np.zeros((1, 3)))  # loads what a rehearsal does
     with RunRecorder.create(file.mission, out=folder / "run") as recorder:
         async with FakeLink() as link:
-            with CropKeeper(recorder.folder.path, file.mission) as crops:
+            with (
+                CropKeeper(recorder.folder.path, file.mission) as crops,
+                FlightView(recorder.folder.new_rrd_path(), file.mission) as view,
+            ):
                 result = await fly_mission(
                     FlightSetup(
                         file=file,
@@ -47,9 +57,9 @@ async def fly(folder: Path, planner: Planner | None = None) -> None:
                         camera=FakeCamera(link, 640, 480),
                         detector=Below(),
                         planner=planner or Lawnmower(),
-                        priors_au=np.array([[0.4, 0.6], [np.nan, np.nan]]),
+                        priors_au=PRIORS_AU,
                         record=recorder,
-                        audience=Audience((crops,)),
+                        audience=Audience((crops, view)),
                         interrupts=Interrupts(),
                     )
                 )
@@ -57,3 +67,4 @@ async def fly(folder: Path, planner: Planner | None = None) -> None:
         summary = summarise(result, truth=(), mission=file.mission, place_of=place_of)
         recorder.finish(result.outcome, summary.as_json())
     assert not crops.lost
+    assert not view.lost

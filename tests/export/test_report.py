@@ -21,6 +21,7 @@ from dronemon.export.story import read_story
 from dronemon.planner import create_planner
 from dronemon.recorder import RunFolder
 from dronemon.report.flight import GRID_SIZE, read_flight
+from dronemon.report.picture import draw
 
 
 class Page(HTMLParser):
@@ -165,6 +166,17 @@ def test_a_moment_is_drawn(flown: Path, tmp_path: Path, has_truth: bool) -> None
             cli.app(words, standalone_mode=False)
         assert ended.value.code == 0
         assert (tmp_path / name).stat().st_size > 10_000
+    folder = RunFolder.open(run)
+    panels = {panel.get_title(): panel for panel in draw(folder, read_flight(folder), 3).axes}
+    marks = panels["where the targets truly are" + ("" if has_truth else ": not known")].lines
+    assert [mark.get_xydata().tolist() for mark in marks] == [[[0.3, 0.3]], [[0.8, 0.8]]][
+        : 2 * has_truth
+    ]
+    camera = panels["the camera, and whom it found"]
+    assert camera.images[0].get_array().shape == (480, 640, 3)
+    assert [text.get_text() for text in camera.texts] == ["Bella <1> 0.90"]
+    way = panels["all beliefs, and the way flown"]
+    assert way.lines[0].get_xydata()[0] == pytest.approx(read_flight(folder).agent_au[2])
     for options, message in (
         (("--at", "5"), "last picture"),
         (("--to", "x.doc"), "ends with"),
