@@ -33,7 +33,10 @@ class World:
         self._mission = mission
         self._walking_s = walked_s
         self._pictured_s: float | None = None
-        self._paths = Instance.draw(mission.simulation.seed, len(mission.targets)).paths
+        simulated = mission.simulation
+        self._paths = Instance.draw(
+            simulated.seed, len(mission.targets), simulated.motion, simulated.speed_spread
+        ).paths
 
     def walked_au(self, walking_s: float) -> float:
         """Distance that every target has walked."""

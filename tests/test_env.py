@@ -186,7 +186,7 @@ def test_instance_is_the_same_in_another_process():
 def test_targets_walk_as_their_paths_say_also_past_the_end():
     env = Env()
     env.reset([Setup(seed=10_004, num_targets=5, num_nodes=20, speed_ratio=0.5)] * 2)
-    paths = TargetPaths(points_au=Instance.draw(10_004, 5).paths.points_au)
+    paths = TargetPaths.along(Instance.draw(10_004, 5).paths.points_au)
     for time in (0.0, 0.3, 7.77, 11.0, 25.0, 300.1):
         got = env._targets_at(torch.tensor([time, time + 0.05], dtype=torch.float64))
         want = paths.positions_au(0.5 * np.array([time, time + 0.05]))

@@ -25,7 +25,7 @@ from dronemon.evaluation.options import (
     Sweep,
 )
 from dronemon.planner import has_weights
-from dronemon.problem import Prior
+from dronemon.problem import MOTIONS, Motion, Prior
 from dronemon.terminal import LenientConsole, console
 from dronemon.workers import num_cores
 
@@ -72,6 +72,10 @@ PriorsOption = Annotated[
         help="Known at the start: full (positions), number (of targets) or none.",
         show_default="full",
     ),
+]
+MotionsOption = Annotated[
+    str | None,
+    typer.Option(help=f"How targets move: {', '.join(MOTIONS)}.", show_default="tsp"),
 ]
 InstancesOption = Annotated[
     int | None,
@@ -120,6 +124,7 @@ def evaluate_command(
     speed: SpeedsOption = None,
     prior: PriorsOption = None,
     nodes: NodesOption = None,
+    motion: MotionsOption = None,
     instances: InstancesOption = None,
     first_seed: FirstSeedOption = 0,
     table1: Table1Option = False,
@@ -138,11 +143,11 @@ def evaluate_command(
         "--figure5": figure5,
     }
     chosen = [option for option, is_asked in asked.items() if is_asked]
-    own = targets, speed, prior, nodes
-    if len(chosen) > 1 or (chosen and own != (None, None, None, None)):
+    own = targets, speed, prior, nodes, motion
+    if len(chosen) > 1 or (chosen and any(own)):
         raise OptionError(
-            f"{chosen[0]} sets --targets, --speed, --prior and --nodes, and goes with no other of "
-            f"{', '.join(asked)}; leave them out"
+            f"{chosen[0]} sets --targets, --speed, --prior, --nodes and --motion, and goes with no "
+            f"other of {', '.join(asked)}; leave them out"
         )
     sweep, planners = _OF_THE_PAPER[chosen[0]] if chosen else (_sweep(*own), DEFAULT_PLANNERS)
     default_instances = PAPER_INSTANCES if chosen else DEFAULT_INSTANCES
@@ -159,7 +164,9 @@ def evaluate_command(
     _evaluate(options)
 
 
-def _sweep(targets: str | None, speed: str | None, prior: str | None, nodes: str | None) -> Sweep:
+def _sweep(
+    targets: str | None, speed: str | None, prior: str | None, nodes: str | None, motion: str | None
+) -> Sweep:
     """What the options of these names say to go through."""
     usual = Sweep()
     return Sweep(
@@ -169,6 +176,11 @@ def _sweep(targets: str | None, speed: str | None, prior: str | None, nodes: str
             _each(prior, "--prior", lambda text: cast("Prior", text)) if prior else usual.priors
         ),
         nodes=_each(nodes, "--nodes", int) if nodes else usual.nodes,
+        motions=(
+            _each(motion, "--motion", lambda text: cast("Motion", text))
+            if motion
+            else usual.motions
+        ),
     )
 
 

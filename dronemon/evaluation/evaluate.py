@@ -99,7 +99,7 @@ def _of_others(results: Mapping[Key, Result], specs: Sequence[EpisodeSpec]) -> I
 
 def fly_spec(spec: EpisodeSpec) -> Episode:
     """Fly one episode with the planner that this process keeps for it."""
-    instance = Instance.draw(spec.seed, spec.cell.num_targets)
+    instance = Instance.draw(spec.seed, spec.cell.num_targets, spec.cell.motion)
     return fly_episode(_planner(spec.planner, spec.settings), instance, spec.conditions)
 
 

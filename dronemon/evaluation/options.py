@@ -17,7 +17,7 @@ from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
 from dronemon.planner import create_planner, has_weights, planner_names
-from dronemon.problem import MAX_HISTORY, Prior
+from dronemon.problem import MAX_HISTORY, MOTIONS, Motion, Prior
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
 MAX_TARGETS = 100
@@ -26,12 +26,13 @@ DEFAULT_NODES = 200
 
 @dataclass(frozen=True, slots=True, order=True, kw_only=True)
 class Cell:
-    """One field of a table: what is known at the start, targets and their speed, roadmap nodes."""
+    """One field of a table: what is known at the start, how targets move, and the roadmap."""
 
     prior: Prior
     num_targets: int
     speed_ratio: Fraction
     num_nodes: int = DEFAULT_NODES
+    motion: Motion = "tsp"
 
 
 Key = tuple[str, Cell, int, str]
@@ -46,12 +47,14 @@ class Sweep:
     speed_ratios: tuple[Fraction, ...] = (Fraction(1, 10),)
     priors: tuple[Prior, ...] = ("full",)
     nodes: tuple[int, ...] = (DEFAULT_NODES,)
+    motions: tuple[Motion, ...] = ("tsp",)
 
     @property
     def cells(self) -> list[Cell]:
         """All combinations, in the order in which values were named."""
         return [
-            Cell(prior=prior, num_targets=count, speed_ratio=speed, num_nodes=nodes)
+            Cell(prior=prior, num_targets=count, speed_ratio=speed, num_nodes=nodes, motion=motion)
+            for motion in self.motions
             for prior in self.priors
             for count in self.targets
             for speed in self.speed_ratios
@@ -149,7 +152,7 @@ class EpisodeSpec:
         cell = self.cell
         name = (
             f"{self.planner.method}_N{cell.num_targets}_{cell.speed_ratio}_{cell.prior}"
-            f"_V{cell.num_nodes}_seed{self.seed}_{self.settings}.npz"
+            f"_V{cell.num_nodes}_{cell.motion}_seed{self.seed}_{self.settings}.npz"
         )
         return self.folder / name.replace(":", "-").replace("/", "-")
 
@@ -178,7 +181,8 @@ class Options:
         methods = tuple(planner.method for planner in self.planners)
         over = self.sweep
         lists = {"planner": methods, "targets": over.targets, "speed": over.speed_ratios}
-        for name, values in {**lists, "prior": over.priors, "nodes": over.nodes}.items():
+        lists |= {"prior": over.priors, "nodes": over.nodes, "motion": over.motions}
+        for name, values in lists.items():
             _require(len(values) > 0, f"--{name} is empty; name at least one")
             _require(
                 len(set(values)) == len(values),
@@ -190,6 +194,8 @@ class Options:
             _require(0 <= speed < 1, f"--speed {speed} is not from 0 to below 1, the agent's")
         for prior in over.priors:
             _require(prior in PRIORS, f"--prior {prior} is none of {', '.join(PRIORS)}")
+        for motion in over.motions:
+            _require(motion in MOTIONS, f"--motion {motion} is none of {', '.join(MOTIONS)}")
         _require(self.instances >= 1, f"--instances {self.instances} is less than 1")
         _require(self.first_seed >= 0, f"--first-seed {self.first_seed} is less than 0")
         _require(self.workers >= 1, f"--workers {self.workers} is less than 1")
@@ -216,7 +222,7 @@ class Options:
             f" --targets {_listed(over.targets)} --speed {_listed(over.speed_ratios)}"
             f" --prior {_listed(over.priors)} --instances {self.instances}"
             f" --first-seed {self.first_seed} --horizon {self.horizon_au:g}"
-            f" --nodes {_listed(over.nodes)}"
+            f" --nodes {_listed(over.nodes)} --motion {_listed(over.motions)}"
         )
 
     @cached_property

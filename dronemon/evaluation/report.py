@@ -32,7 +32,7 @@ from dronemon.evaluation.tables import (
     published_overall,
     published_rows,
 )
-from dronemon.problem import Prior
+from dronemon.problem import Motion, Prior
 
 UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
 
@@ -111,6 +111,7 @@ def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
             **_columns(row, PAPER_FIGURES),
             "prior": row.cell.prior,
             "nodes": str(row.cell.num_nodes),
+            "motion": row.cell.motion,
             "instances": str(row.instances) if row.instances else "",
             **_columns(row, others),
             "decision_ms": number(row.decision_s * 1e3, "decision_ms"),
@@ -203,14 +204,15 @@ def _verdicts(results: Sequence[Result], rows: Sequence[Row]) -> list[str]:
 def _cell_tables(rows: Sequence[Row], published: Sequence[Row]) -> list[str]:
     """Tables per prior and number of targets: a line per method, a column per speed ratio."""
     lines: list[str] = []
-    groups: dict[tuple[Prior, int], list[Cell]] = {}
+    groups: dict[tuple[Motion, Prior, int], list[Cell]] = {}
     for cell in dict.fromkeys(row.cell for row in rows):
-        groups.setdefault((cell.prior, cell.num_targets), []).append(cell)
+        groups.setdefault((cell.motion, cell.prior, cell.num_targets), []).append(cell)
     by_method: dict[str, dict[Cell, Row]] = {}
     for row in [*rows, *published]:
         by_method.setdefault(row.method, {})[row.cell] = row
-    for (prior, count), cells in groups.items():
-        lines += [f"## N = {count}, prior: {prior}", ""]
+    for (motion, prior, count), cells in groups.items():
+        moving = "" if motion == "tsp" else f", motion: {motion}"
+        lines += [f"## N = {count}, prior: {prior}{moving}", ""]
         for name, title in (
             ("unc", "Unc (standard deviation between targets)"),
             ("min_ob", "MinOb"),

@@ -54,6 +54,7 @@ class Result:
             "speed_ratio": str(cell["speed_ratio"]),
             "prior": cell["prior"],
             "nodes": cell["num_nodes"],
+            "motion": cell["motion"],
             "scores": {n: None if math.isnan(value) else value for n, value in scores.items()},
         }
         return json.dumps(record, allow_nan=False)
@@ -61,8 +62,8 @@ class Result:
     @classmethod
     def from_json(cls, line: str) -> Result:
         """Read a line that `as_json` wrote. Raises ValueError, KeyError or TypeError otherwise."""
-        before = {"code": UNKNOWN_CODE, "nodes": DEFAULT_NODES, "found_over_time": ()}
-        record: dict[str, Any] = {**before, **json.loads(line)}
+        before = {"code": UNKNOWN_CODE, "nodes": DEFAULT_NODES, "motion": "tsp"}
+        record: dict[str, Any] = {**before, "found_over_time": (), **json.loads(line)}
         scores: dict[str, Any] = {
             name: math.nan if value is None else value for name, value in record["scores"].items()
         }
@@ -72,6 +73,7 @@ class Result:
                 num_targets=record.pop("targets"),
                 speed_ratio=Fraction(record.pop("speed_ratio")),
                 num_nodes=record.pop("nodes"),
+                motion=record.pop("motion"),
             ),
             "scores": Scores(**scores),
             "unc_over_time": tuple(record["unc_over_time"]),

@@ -74,6 +74,7 @@ def priors_section(results: Sequence[Result]) -> list[str]:
             str(cell.num_targets),
             str(cell.speed_ratio),
             str(cell.num_nodes),
+            cell.motion,
             method,
             cell.prior,
             *(plus_minus(_over(group, _mean_of_third(k)), "unc") for k in range(3)),
@@ -90,7 +91,7 @@ def priors_section(results: Sequence[Result]) -> list[str]:
         "",
         *markdown_table(
             [
-                *("N", "r_v", "V", "method", "prior"),
+                *("N", "r_v", "V", "motion", "method", "prior"),
                 *(f"Unc, {third}" for third in thirds),
                 "MinOb",
                 *(f"found, {third}" for third in thirds),

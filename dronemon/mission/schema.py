@@ -20,6 +20,7 @@ from dronemon.problem import (
     MEASUREMENT_INTERVAL_AU,
     SENSOR_RADIUS_AU,
     TIME_SCALE_AU,
+    Motion,
 )
 from dronemon.types import APPEARANCES, GRAVITY_M_S2, Appearance, CameraModel
 
@@ -252,6 +253,10 @@ class Simulation(Section):
     """Root of all that is drawn: world, start, roadmap, planner."""
     speed_ratio: float = Field(0.05, ge=0.0, lt=1.0)
     """Targets' speed over the drone's."""
+    speed_spread: float = Field(0.0, ge=0.0, le=0.9)
+    """Share by which targets may be faster or slower than that."""
+    motion: Motion = "tsp"
+    """tsp (the paper's), waypoints, correlated, brownian, grazing, loop, herd or road."""
     wind_m_s: float = Field(0.0, ge=0.0, le=15.0)
     """Mean wind speed."""
     wind_from_deg: float = Field(270.0, ge=0.0, le=360.0)

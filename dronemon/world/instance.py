@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronemon.arena import ARENA
+from dronemon.problem import Motion
 from dronemon.types import FloatArray
+from dronemon.world.motions import draw_paths
 from dronemon.world.targets import TargetPaths
 
 
@@ -28,12 +30,19 @@ class Instance:
     paths: TargetPaths
 
     @classmethod
-    def draw(cls, seed: int, num_targets: int) -> Instance:
-        """Draw a seed's instance; its first targets do not depend on how many there are."""
+    def draw(
+        cls, seed: int, num_targets: int, motion: Motion = "tsp", speed_spread: float = 0.0
+    ) -> Instance:
+        """Draw a seed's instance; its first targets do not depend on how many there are.
+
+        speed_spread: targets are up to this share faster or slower than the others take them to be
+        """
+        paths = draw_paths(motion, num_targets, named_stream(seed, "targets"))
+        spread = named_stream(seed, "speeds").uniform(-speed_spread, speed_spread, num_targets)
         return cls(
             seed=seed,
             start_au=ARENA.sample(1, named_stream(seed, "start"))[0],
-            paths=TargetPaths.random(num_targets, named_stream(seed, "targets")),
+            paths=paths.at_speeds(1.0 + spread) if speed_spread else paths,
         )
 
     def stream(self, name: str) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""Where targets are: each walks at constant speed along a short path through random points.
+"""Where targets are: each walks along a path, in the paper at constant speed between random points.
 
 Source: paper, section V ("pre-solved TSP patterns, each consisting of 50 randomly generated
 nodes").
@@ -6,7 +6,7 @@ nodes").
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,12 +19,24 @@ POINTS_PER_PATH = 50
 
 @dataclass(frozen=True, kw_only=True)
 class TargetPaths:
-    """Open paths of all targets; a target that reaches the end of its path walks it back.
+    """Paths of all targets; a target that reaches the end of its path walks it back.
 
     points_au: (N, P, 2) float64 au, each path's points in the order in which they are visited
+    marks_au:  (N, P)    distance walked at which each is reached, a rest counted as if it walked on
+    is_closed: each path ends where it begins, and the target goes on the same way round
     """
 
     points_au: FloatArray
+    marks_au: FloatArray
+    is_closed: bool = False
+
+    @classmethod
+    def along(cls, points_au: FloatArray, *, is_closed: bool = False) -> TargetPaths:
+        """Targets that never rest. points_au: (N, P, 2)."""
+        steps = np.diff(points_au, axis=1)
+        lengths = np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2)
+        marks = np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0)))
+        return cls(points_au=points_au, marks_au=marks, is_closed=is_closed)
 
     @classmethod
     def random(cls, num_targets: int, rng: np.random.Generator) -> TargetPaths:
@@ -34,7 +46,11 @@ class TargetPaths:
         start uniformly in the arena; only the order of the points between them is shortened.
         """
         drawn = [ARENA.sample(POINTS_PER_PATH, rng) for _ in range(num_targets)]
-        return cls(points_au=np.stack([points[short_path_order(points)] for points in drawn]))
+        return cls.along(np.stack([points[short_path_order(points)] for points in drawn]))
+
+    def at_speeds(self, factors: FloatArray) -> TargetPaths:
+        """The same paths, each target so many times as fast as the others take it. factors: (N,)"""
+        return replace(self, marks_au=self.marks_au / factors[:, None])
 
     @property
     def num_targets(self) -> int:
@@ -42,22 +58,26 @@ class TargetPaths:
         return int(self.points_au.shape[0])
 
     @cached_property
-    def _marks_au(self) -> FloatArray:
-        """(N, P) arc length at which each point is reached."""
+    def _directions_rad(self) -> FloatArray:
+        """(N, P - 1) heading of each segment; where a target rests, the one with which it came."""
         steps = np.diff(self.points_au, axis=1)
-        lengths = np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2)
-        marks: FloatArray = np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0)))
-        return marks
+        headings = np.arctan2(steps[..., 1], steps[..., 0])
+        moves = (steps != 0.0).any(axis=-1)
+        newest = np.maximum.accumulate(np.where(moves, np.arange(steps.shape[1]), 0), axis=1)
+        directions: FloatArray = np.take_along_axis(headings, newest, axis=1)
+        return directions
 
     @property
     def lengths_au(self) -> FloatArray:
         """(N,) length of each path: 4.9 to 6.6 au, where the paper's fastest targets walk 4.3."""
-        lengths: FloatArray = self._marks_au[:, -1]
+        lengths: FloatArray = self.marks_au[:, -1]
         return lengths
 
     def _arcs_au(self, target: int, distance_au: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance walked -> arc length from the path's start, and direction: +1 out, -1 back."""
         length = self.lengths_au[target]
+        if self.is_closed:
+            return np.mod(distance_au, length), np.ones_like(distance_au)
         phase = np.mod(distance_au, 2.0 * length)
         is_back = phase > length
         return np.where(is_back, 2.0 * length - phase, phase), np.where(is_back, -1.0, 1.0)
@@ -66,7 +86,7 @@ class TargetPaths:
         """Targets' positions after a distance walked. () or (S,) au -> (N, 2) or (S, N, 2) au."""
         walked = np.asarray(distance_au, dtype=np.float64)
         places = []
-        for target, (points, marks) in enumerate(zip(self.points_au, self._marks_au, strict=True)):
+        for target, (points, marks) in enumerate(zip(self.points_au, self.marks_au, strict=True)):
             arcs, _ = self._arcs_au(target, walked)
             places.append(np.stack([np.interp(arcs, marks, points[:, k]) for k in (0, 1)], axis=-1))
         return np.stack(places, axis=-2)
@@ -75,11 +95,11 @@ class TargetPaths:
         """Headings of targets, from the x axis towards y. () or (S,) au -> (N,) or (S, N) rad."""
         walked = np.asarray(distance_au, dtype=np.float64)
         headings = []
-        for target, (points, marks) in enumerate(zip(self.points_au, self._marks_au, strict=True)):
+        for target, marks in enumerate(self.marks_au):
             arcs, direction = self._arcs_au(target, walked)
             segment = np.clip(np.searchsorted(marks, arcs, side="right") - 1, 0, len(marks) - 2)
-            step = (points[segment + 1] - points[segment]) * direction[..., None]
-            headings.append(np.arctan2(step[..., 1], step[..., 0]))
+            turned = np.where(direction < 0.0, np.pi, 0.0)
+            headings.append(self._directions_rad[target, segment] + turned)
         return np.stack(headings, axis=-1)
 
 

@@ -127,7 +127,7 @@ def test_planner_repeats_itself_and_remembers_no_earlier_mission(make: Make) -> 
 def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
     outside = np.array([[[1.04, 0.5], [1.04, 0.6]], [[0.5, -0.05], [0.4, -0.05]]])
     instance = Instance(
-        seed=10_003, start_au=np.array([0.95, 0.5]), paths=TargetPaths(points_au=outside)
+        seed=10_003, start_au=np.array([0.95, 0.5]), paths=TargetPaths.along(outside)
     )
     planner = Recording(make())
     episode = fly_episode(planner, instance, replace(conditions(), horizon_au=2.0))

@@ -38,7 +38,7 @@ class Route:
 def walkers(*starts_au: tuple[float, float]) -> Instance:
     """Targets that walk right from their starts; the agent starts at (0.1, 0.1)."""
     starts: FloatArray = np.array(starts_au)
-    paths = TargetPaths(points_au=np.stack([starts, starts + np.array([0.4, 0.0])], axis=1))
+    paths = TargetPaths.along(np.stack([starts, starts + np.array([0.4, 0.0])], axis=1))
     return Instance(seed=0, start_au=np.array([0.1, 0.1]), paths=paths)
 
 

@@ -229,7 +229,7 @@ def test_priors_are_compared_by_thirds_of_the_mission(tmp_path: Path) -> None:
     text = (tmp_path / "table.md").read_text()
     (part,) = (p for p in text.split("\n## ") if p.startswith("What is known at the start"))
     row = "0.610 ± 0.010 | 0.610 ± 0.010 | 0.710 ± 0.010 | 5.00 ± 0.00 | 0.000 ± 0.000 | "
-    assert f"| 6 | 1/20 | 200 | search | none | {row}0.500 ± 0.000 | 1.000 ± 0.000 |" in part
+    assert f"| 6 | 1/20 | 200 | tsp | search | none | {row}0.500 ± 0.000 | 1.000 ± 0.000 |" in part
     write_tables(results[:2], tmp_path, "one prior", is_as_published=True)
     assert "What is known" not in (tmp_path / "table.md").read_text()
 

@@ -17,7 +17,7 @@ def length_au(points_au: FloatArray) -> float:
 
 def corner_path() -> TargetPaths:
     """Right 0.5, then up 0.25."""
-    return TargetPaths(points_au=np.array([[[0.25, 0.5], [0.75, 0.5], [0.75, 0.75]]]))
+    return TargetPaths.along(np.array([[[0.25, 0.5], [0.75, 0.5], [0.75, 0.75]]]))
 
 
 def test_target_walks_round_a_corner_and_back_from_the_end() -> None:
