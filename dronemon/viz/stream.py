@@ -27,7 +27,7 @@ from dronemon.waiting import BoundedQueue
 POSE_INTERVAL_S, POSE_INTERVAL_WALL_S = 0.2, 0.05
 """Poses nearer to each other are passed over: at fifteen times real time they took a fifth of a
 core, and decisions waited for it."""
-FLUSH_S, LIVE_FLUSH_S, FLUSH_BYTES = 10.0, 0.5, 8_000_000
+FLUSH_S, LIVE_FLUSH_S, FLUSH_BYTES = 30.0, 0.5, 8_000_000
 """Data of this wall time are written together, and of a flight that nobody watches so many: Rerun
 keeps some 4 KB of memory for each entity of each piece, and small pieces make a larger file."""
 FINISH_S = 5.0
