@@ -30,7 +30,6 @@ def page(flight: Flight) -> str:
     drawn = {name: svg(draw(flight)) for name, draw in FIGURES.items()}
     return template.render(
         title=story.title,
-        cell_m=story.cell_m,
         day=f"{story.started:%Y-%m-%d}",
         began=f"{story.started:%Y-%m-%d %H:%M:%S}",
         ended=f"{story.track[-1].time:%H:%M:%S}" if story.track else "",
