@@ -28,8 +28,6 @@ from dronemon.problem import LOST_STD, MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
 
-LINE_STYLES = {"full": "-", "number": "--", "none": ":"}
-"""By prior; colours tell methods apart."""
 COLOURS = colormaps["tab10"]
 MAX_COLUMNS = 5
 DOTS_PER_INCH = 110
@@ -39,41 +37,45 @@ LEGEND_ENTRY_INCH = 2.2
 def draw_over_time(
     results: Sequence[Result], value: Callable[[Result], Sequence[float]], label: str, path: Path
 ) -> None:
-    """Draw means over instances with their standard errors, a panel per targets and speed ratio.
+    """Draw means over instances with their standard errors.
+
+    A panel per number of targets and world, which is speed ratio, prior and motion.
 
     value: (S,) of an episode at each measurement; label: what it is
     """
     counts = sorted({result.cell.num_targets for result in results})
-    speeds = sorted({result.cell.speed_ratio for result in results})
+    worlds = list(dict.fromkeys(_world(result.cell) for result in results))
     methods = list(dict.fromkeys(result.method for result in results))
     figure = Figure(
-        figsize=(3.2 * len(speeds) + 1.0, 2.4 * len(counts) + 0.8), layout="constrained"
+        figsize=(3.2 * len(worlds) + 1.0, 2.4 * len(counts) + 0.8), layout="constrained"
     )
-    panels = figure.subplots(len(counts), len(speeds), sharex=True, sharey=True, squeeze=False)
+    panels = figure.subplots(len(counts), len(worlds), sharex=True, sharey=True, squeeze=False)
     groups: dict[tuple[Cell, str], list[Sequence[float]]] = {}
     for result in results:
         groups.setdefault((result.cell, result.method), []).append(value(result))
     for (cell, method), curves in groups.items():
-        panel = panels[counts.index(cell.num_targets), speeds.index(cell.speed_ratio)]
+        panel = panels[counts.index(cell.num_targets), worlds.index(_world(cell))]
         mean = np.mean(curves, axis=0)
         times_au = MEASUREMENT_INTERVAL_AU * np.arange(1, len(mean) + 1)
         colour = COLOURS(methods.index(method) % 10)
-        style, name = LINE_STYLES[cell.prior], _name(method, cell)
-        panel.plot(times_au, mean, style, color=colour, linewidth=1.0, label=name)
+        name = method + ("" if cell.num_nodes == DEFAULT_NODES else f", V = {cell.num_nodes}")
+        panel.plot(times_au, mean, color=colour, linewidth=1.0, label=name)
         if len(curves) > 1:
             error = np.std(curves, axis=0, ddof=1) / math.sqrt(len(curves))
             panel.fill_between(times_au, mean - error, mean + error, color=colour, alpha=0.2, lw=0)
-        panel.set_title(f"N = {cell.num_targets}, $r_v$ = {cell.speed_ratio}", fontsize=9)
+        panel.set_title(f"N = {cell.num_targets}, {_world(cell)}", fontsize=9)
     _add_legend(figure, panels.flat)
     figure.supxlabel("trajectory length (au)")
     figure.supylabel(label)
     _save(figure, path)
 
 
-def _name(method: str, cell: Cell) -> str:
-    """What a legend calls a method in a cell."""
+def _world(cell: Cell) -> str:
+    """What figures call what a column of theirs shows."""
     prior = "" if cell.prior == "full" else f", prior: {cell.prior}"
-    return method + prior + ("" if cell.num_nodes == DEFAULT_NODES else f", V = {cell.num_nodes}")
+    return f"$r_v$ = {cell.speed_ratio}{prior}" + (
+        "" if cell.motion == "tsp" else f", {cell.motion}"
+    )
 
 
 def _add_legend(figure: Figure, panels: Iterable[Axes]) -> None:
