@@ -3,7 +3,8 @@
 Flies the same development instances (seeds 10000 and up) with the settings of `SearchSettings` and
 with each change given, and prints Unc, MinOb and JSD of each cell and their mean differences, with
 the standard error over paired instances. Names are those of `SearchSettings` or `MotionSettings`;
-several changes joined by commas are made together. Without changes it prints the ablations: each
+several changes joined by commas are made together; `kinds=tour+legs` keeps those ways of moving.
+Without changes it prints the ablations: each
 ingredient off (the table in docs/experiments.md: `--instances 32`).
 """
 
@@ -15,7 +16,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import Planner
 from dronemon.planner.search import ClairvoyantSearchPlanner, SearchPlanner
 from dronemon.planner.settings import MotionSettings, SearchSettings
+from dronemon.planner.walking import KINDS
 from dronemon.problem import FIRST_DEVELOPMENT_SEED, Prior
 from dronemon.types import FloatArray
 from dronemon.world import Instance
@@ -36,7 +38,8 @@ ABLATIONS = (
     "shape_worth=0",
     "drift=0",
     "walk_au=10",
-    "trail_doubt=0",
+    "kinds=tour",
+    "kinds=legs+wander+jitter+circle+graze",
     "slowest=0.0731,fastest=0.0731",  # the expected speed before any sighting, not learned
     "num_planned=10",
     "scatter_au=0",
@@ -50,11 +53,16 @@ def changed(text: str) -> SearchSettings:
     for change in filter(None, text.split(",")):
         name, value = change.split("=")
         owner = settings.motion if name in of_motion else settings
-        kind = type(getattr(owner, name))
+        kinds = {kind.name: kind for kind in KINDS}
+        given: Any = (
+            tuple(kinds[kind] for kind in value.split("+"))
+            if name == "kinds"
+            else type(getattr(owner, name))(value)
+        )
         if name in of_motion:
-            settings = replace(settings, motion=replace(settings.motion, **{name: kind(value)}))
+            settings = replace(settings, motion=replace(settings.motion, **{name: given}))
         else:
-            settings = replace(settings, **{name: kind(value)})
+            settings = replace(settings, **{name: given})
     return settings
 
 

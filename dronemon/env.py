@@ -108,10 +108,9 @@ class Env:
             nodes_au.append(r.nodes_au)
         self.graphs = Graphs.concatenate(graphs).to(self._device)
         self._nodes_au = self._stacked(nodes_au, max(map(len, nodes_au)))
-        paths_au = [instance.paths.points_au for instance in instances]
-        self._waypoints_au = self._stacked(paths_au, num_targets)
-        steps_au = torch.linalg.vector_norm(self._waypoints_au.diff(dim=2), dim=-1)
-        self._marks_au = torch.nn.functional.pad(steps_au.cumsum(dim=-1), (1, 0))
+        paths = [instance.paths for instance in instances]
+        self._waypoints_au = self._stacked([p.points_au for p in paths], num_targets)
+        self._marks_au = self._stacked([p.marks_au for p in paths], num_targets)
         self._speed_ratio = self._nodes_au.new_tensor([setup.speed_ratio for setup in setups])
         counts = torch.tensor([setup.num_targets for setup in setups], device=self._device)
         self._exists = torch.arange(num_targets, device=self._device) < counts[:, None]

@@ -17,6 +17,7 @@ from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, 
 from dronemon.planner.registry import is_bound
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.vision.detector import NEEDED_PX_PER_M
+from dronemon.world.motions import motion_flaw
 
 
 def load_checked(name: str, overrides: Overrides, follow: str | None) -> MissionFile:
@@ -129,6 +130,8 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
     elif follow == url:
         yield ("vehicle", "url"), f"{url} is --follow's too; have the vehicle stream to two ports"
     if mission.vehicle.is_mock or follow is not None:
+        if flaw := motion_flaw(mission.simulation.motion, len(mission.targets)):
+            yield ("simulation", "motion"), flaw
         return
     if mission.camera.is_simulated:
         yield (

@@ -5,7 +5,7 @@ One au is the side of the paper's square, which is ten sensor radii.
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 SENSOR_RADIUS_AU = 0.1
 """Radius of the circular sensor footprint: a target strictly nearer is seen. Section III-B."""
@@ -31,9 +31,14 @@ LOST_STD = 0.9
 Prior = Literal["full", "number", "none"]
 """What is known at the start: positions and number of targets, their number alone, or nothing."""
 
-Motion = Literal["tsp", "waypoints", "correlated", "brownian", "grazing", "loop", "herd", "road"]
+MOTIONS = ("tsp", "waypoints", "correlated", "brownian", "grazing", "loop", "herd", "road")
 """How targets move, see `dronemon.world.motions`; the paper's is `tsp`."""
-MOTIONS: tuple[Motion, ...] = get_args(Motion)
+
+
+def is_tracks(motion: str) -> bool:
+    """Whether a motion's name is that of a file of tracks."""
+    return motion.lower().endswith((".csv", ".gpx"))
+
 
 FIRST_DEVELOPMENT_SEED = 10_000
 """Seeds from here on are for choosing and tuning; 0 to 99 are for reporting alone."""

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from dronemon.errors import MissionFileError
+from dronemon.errors import MissionFileError, OptionError
 from dronemon.mission import Mission
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.faults import Fault
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
         mission = load_mission(find_mission(options.mission)).mission
         with TruthFile(options.truth) as truth:
             asyncio.run(_run(mission, truth, options))
-    except MissionFileError as exc:
+    except (MissionFileError, OptionError) as exc:
         _LOG.error("%s", exc)
         return exc.exit_code
     except OSError as exc:

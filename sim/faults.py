@@ -10,7 +10,8 @@ from dronemon.mission import Mission
 from dronemon.mission.faults import Fault, parse_fault
 from sim.parameters import INDEX
 
-CAMERA_KINDS = ("camera", "late", "torn", "blank", "repeat", "misdate", "hide", "decoy")
+_PICTURED_KINDS = ("hide", "decoy", "mistake", "misplace")
+CAMERA_KINDS = ("camera", "late", "torn", "blank", "repeat", "misdate", *_PICTURED_KINDS)
 Switch = Callable[[str, float | None], None]
 """Takes a fault's kind, and its value when it begins or None when it ends."""
 

@@ -33,11 +33,21 @@ class Scene:
 
 
 def with_faults(scene: Scene, faults: Mapping[str, float], rng: random.Random) -> Scene:
-    """The scene as a picture shows it: with animals out of sight, or one that is not there.
+    """The scene as a picture shows it: animals out of sight, astray or mistaken, or one too many.
 
     faults: kinds that are active now -> value
     """
-    animals = [a for a in scene.animals if rng.random() >= faults.get("hide", 0.0)]
+    looks = sorted({animal.appearance for animal in scene.animals})
+    off_m, share = faults.get("misplace", 0.0), faults.get("mistake", 0.0)
+    animals = []
+    for animal in scene.animals:
+        if rng.random() < faults.get("hide", 0.0):
+            continue
+        north_m, east_m = animal.position_ned_m
+        place = north_m + rng.gauss(0.0, off_m), east_m + rng.gauss(0.0, off_m)
+        others = [look for look in looks if look != animal.appearance]
+        look = rng.choice(others) if others and rng.random() < share else animal.appearance
+        animals.append(replace(animal, position_ned_m=place, appearance=look))
     if rng.random() < faults.get("decoy", 0.0):
         north_m, east_m, _ = scene.pose.position_ned_m
         away_m = SENSOR_RADIUS_AU * scene.frame.side_m * math.sqrt(rng.random())

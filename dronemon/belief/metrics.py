@@ -149,7 +149,8 @@ class EpisodeMetrics:
     """Every metric of every target at every instant; index 0 is before the first measurement.
 
     unc: (S+1, N) sigma_bar; jsd: (S+1, N) nat; peak_error_au: (S+1, N), NaN without a peak;
-    since_seen_au: (S+1, N), counted from the start before the first sight; observed: (S+1, N) bool.
+    since_seen_au: (S+1, N), counted from the start before the first sight; observed: (S+1, N) bool,
+    said to be seen, and in view.
     """
 
     unc: FloatArray
@@ -178,7 +179,7 @@ def episode_metrics(
     time_au: FloatArray,
     agent_au: FloatArray,
     targets_au: FloatArray,
-    observed: BoolArray,
+    told_au: FloatArray,
     *,
     prior: Prior = "full",
     kernel: Matern32 | None = None,
@@ -188,10 +189,11 @@ def episode_metrics(
     time_au:    (S+1,)      au, increasing; index 0 is the start, the others the measurements
     agent_au:   (S+1, 2)    au
     targets_au: (S+1, N, 2) au, true positions
-    observed:   (S+1, N)    bool, whether the target was seen; index 0 is ignored
+    told_au:    (S+1, N, 2) au, where the target was said to be seen, NaN where not; 0 is ignored
     """
+    observed = _truly_seen(agent_au, targets_au, told_au)
     kernel = kernel if kernel is not None else Matern32()
-    history = _History.of(time_au, agent_au, targets_au, observed, prior)
+    history = _History.of(time_au, agent_au, targets_au, told_au, prior)
     grid = evaluation_grid()
     unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
     for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
@@ -211,6 +213,14 @@ def episode_metrics(
         since_seen_au=since_seen_au(time_au, observed),
         observed=observed,
     )
+
+
+def _truly_seen(agent_au: FloatArray, targets_au: FloatArray, told_au: FloatArray) -> BoolArray:
+    """Which targets were said to be seen, and were in view. -> (S+1, N)"""
+    offset_au = targets_au - agent_au[:, None]
+    distance_au = np.sqrt(offset_au[..., 0] ** 2 + offset_au[..., 1] ** 2)
+    seen: BoolArray = ~np.isnan(told_au[..., 0]) & (distance_au < SENSOR_RADIUS_AU)
+    return seen
 
 
 def since_seen_au(time_au: FloatArray, observed: BoolArray) -> FloatArray:
@@ -244,14 +254,15 @@ class _History:
         time_au: FloatArray,
         agent_au: FloatArray,
         targets_au: FloatArray,
-        observed: BoolArray,
+        told_au: FloatArray,
         prior: Prior,
     ) -> _History:
         """Read what each measurement told about each target; index 0 holds the prior."""
-        seen = observed.copy()
+        told_au = np.concatenate([targets_au[:1], told_au[1:]])
+        seen = ~np.isnan(told_au[..., 0])
         seen[0] = prior == "full"
         known = np.maximum.accumulate(seen, axis=0) | (prior == "number")
-        place = np.where(seen[..., None], targets_au, agent_au[:, None])
+        place = np.where(seen[..., None], told_au, agent_au[:, None])
         time = np.broadcast_to(time_au[:, None, None], (*seen.shape, 1))
         return cls(
             time_au=torch.as_tensor(time_au),

@@ -14,6 +14,7 @@ import typer
 from dronemon.errors import OptionError
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import (
+    CONDITIONS,
     FIGURE4,
     FIGURE5,
     PAPER_INSTANCES,
@@ -25,13 +26,16 @@ from dronemon.evaluation.options import (
     Sweep,
 )
 from dronemon.planner import has_weights
-from dronemon.problem import MOTIONS, Motion, Prior
+from dronemon.problem import MOTIONS, Prior
+from dronemon.sensor import Sensor
 from dronemon.terminal import LenientConsole, console
 from dronemon.workers import num_cores
 
 T = TypeVar("T")
 DEFAULT_INSTANCES = 16
 DEFAULT_PLANNERS = "tsp,lawnmower"
+CONDITIONS_INSTANCES = 24
+CONDITIONS_PLANNERS = "lawnmower,tsp,tsp-heading,search,stamp,clairvoyant-search"
 INTERRUPTED = 130
 """Exit code of a run that was told to stop, as a shell's for Ctrl-C."""
 
@@ -75,13 +79,25 @@ PriorsOption = Annotated[
 ]
 MotionsOption = Annotated[
     str | None,
-    typer.Option(help=f"How targets move: {', '.join(MOTIONS)}.", show_default="tsp"),
+    typer.Option(
+        help=f"How targets move: {', '.join(MOTIONS)}, or a .csv or .gpx file of tracks.",
+        show_default="tsp",
+    ),
+]
+SensorsOption = Annotated[
+    str | None,
+    typer.Option(
+        help="How the eye errs, such as perfect,miss=0.1,miss=0.1+false_alarms=0.05; also "
+        "position_au and confusion.",
+        show_default="perfect",
+    ),
 ]
 InstancesOption = Annotated[
     int | None,
     typer.Option(
         help="Instances per cell; one seed is one instance.",
-        show_default="16; 100 for the paper's tables and figures",
+        show_default=f"{DEFAULT_INSTANCES}; {PAPER_INSTANCES} for the paper's tables and figures, "
+        f"{CONDITIONS_INSTANCES} for --conditions",
     ),
 ]
 FirstSeedOption = Annotated[int, typer.Option(help="Seed of the first instance.")]
@@ -97,6 +113,12 @@ Figure4Option = Annotated[
 Figure5Option = Annotated[
     bool, typer.Option("--figure5", help="The paper's Figure 5: what is known at the start.")
 ]
+ConditionsOption = Annotated[
+    bool,
+    typer.Option(
+        "--conditions", help="Other worlds: every motion, eyes that err, and every prior."
+    ),
+]
 HorizonOption = Annotated[float, typer.Option(help="Distance flown per episode, in au.")]
 NodesOption = Annotated[
     str | None, typer.Option(help="Nodes of the roadmap, such as 50,200.", show_default="200")
@@ -107,13 +129,14 @@ SaveOption = Annotated[
 WorkersOption = Annotated[int | None, typer.Option(help="Processes.", show_default="one per core")]
 
 
-_OF_THE_PAPER = {
-    "--table1": (TABLE1, DEFAULT_PLANNERS),
-    "--table2": (TABLE2, ",".join(TABLE2_PLANNERS)),
-    "--figure4": (FIGURE4, "stamp,search,tsp,lawnmower"),
-    "--figure5": (FIGURE5, "search,stamp"),
+_PRESETS = {
+    "--table1": (TABLE1, DEFAULT_PLANNERS, PAPER_INSTANCES),
+    "--table2": (TABLE2, ",".join(TABLE2_PLANNERS), PAPER_INSTANCES),
+    "--figure4": (FIGURE4, "stamp,search,tsp,lawnmower", PAPER_INSTANCES),
+    "--figure5": (FIGURE5, "search,stamp", PAPER_INSTANCES),
+    "--conditions": (CONDITIONS, CONDITIONS_PLANNERS, CONDITIONS_INSTANCES),
 }
-"""Option -> what it goes through, and the planners that it compares."""
+"""Option -> what it goes through, the planners that it compares, and on how many instances."""
 
 
 def evaluate_command(
@@ -125,12 +148,14 @@ def evaluate_command(
     prior: PriorsOption = None,
     nodes: NodesOption = None,
     motion: MotionsOption = None,
+    sensor: SensorsOption = None,
     instances: InstancesOption = None,
     first_seed: FirstSeedOption = 0,
     table1: Table1Option = False,
     table2: Table2Option = False,
     figure4: Figure4Option = False,
     figure5: Figure5Option = False,
+    conditions: ConditionsOption = False,
     horizon: HorizonOption = 30.0,
     save_episodes: SaveOption = False,
     workers: WorkersOption = None,
@@ -141,21 +166,23 @@ def evaluate_command(
         "--table2": table2,
         "--figure4": figure4,
         "--figure5": figure5,
+        "--conditions": conditions,
     }
     chosen = [option for option, is_asked in asked.items() if is_asked]
-    own = targets, speed, prior, nodes, motion
+    own = targets, speed, prior, nodes, motion, sensor
     if len(chosen) > 1 or (chosen and any(own)):
         raise OptionError(
-            f"{chosen[0]} sets --targets, --speed, --prior, --nodes and --motion, and goes with no "
-            f"other of {', '.join(asked)}; leave them out"
+            f"{chosen[0]} sets --targets, --speed, --prior, --nodes, --motion and --sensor, and "
+            f"goes with no other of {', '.join(asked)}; leave them out"
         )
-    sweep, planners = _OF_THE_PAPER[chosen[0]] if chosen else (_sweep(*own), DEFAULT_PLANNERS)
-    default_instances = PAPER_INSTANCES if chosen else DEFAULT_INSTANCES
+    sweep, planners, usual_instances = (
+        _PRESETS[chosen[0]] if chosen else (_sweep(*own), DEFAULT_PLANNERS, DEFAULT_INSTANCES)
+    )
     options = Options(
         planners=_planners(planners if planner is None else planner, history),
         out=out,
         sweep=sweep,
-        instances=instances if instances is not None else default_instances,
+        instances=instances if instances is not None else usual_instances,
         first_seed=first_seed,
         horizon_au=horizon,
         save_episodes=save_episodes,
@@ -165,7 +192,12 @@ def evaluate_command(
 
 
 def _sweep(
-    targets: str | None, speed: str | None, prior: str | None, nodes: str | None, motion: str | None
+    targets: str | None,
+    speed: str | None,
+    prior: str | None,
+    nodes: str | None,
+    motion: str | None,
+    sensor: str | None,
 ) -> Sweep:
     """What the options of these names say to go through."""
     usual = Sweep()
@@ -176,11 +208,8 @@ def _sweep(
             _each(prior, "--prior", lambda text: cast("Prior", text)) if prior else usual.priors
         ),
         nodes=_each(nodes, "--nodes", int) if nodes else usual.nodes,
-        motions=(
-            _each(motion, "--motion", lambda text: cast("Motion", text))
-            if motion
-            else usual.motions
-        ),
+        motions=_each(motion, "--motion", str) if motion else usual.motions,
+        sensors=_each(sensor, "--sensor", Sensor.parse) if sensor else usual.sensors,
     )
 
 

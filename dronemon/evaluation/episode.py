@@ -19,9 +19,10 @@ from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
 from dronemon.planner.motion import waypoint_flaw
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, Prior
 from dronemon.roadmap import Roadmap
+from dronemon.sensor import PERFECT, Sensor
 from dronemon.sightings import Sightings
-from dronemon.types import BoolArray, FloatArray
-from dronemon.world import Instance, Roster, measure, sample_leg
+from dronemon.types import FloatArray
+from dronemon.world import Instance, Roster, measure, misread, sample_leg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +30,7 @@ class Conditions:
     """What an episode is flown under, besides its instance.
 
     speed_ratio: targets' speed over the agent's; prior: what is known at the start; horizon_au:
-    distance flown; num_nodes, num_neighbours: the roadmap's
+    distance flown; num_nodes, num_neighbours: the roadmap's; sensor: how the eye errs
     """
 
     speed_ratio: float
@@ -37,6 +38,7 @@ class Conditions:
     horizon_au: float = 30.0
     num_nodes: int = 200
     num_neighbours: int = 10
+    sensor: Sensor = PERFECT
 
     @property
     def times_au(self) -> FloatArray:
@@ -49,14 +51,15 @@ class Conditions:
 class Episode:
     """What happened, at the start and at each of S measurements.
 
-    agent_au: (S+1, 2); targets_au: (S+1, N, 2) true positions; observed: (S+1, N), all false at
-    the start; decisions_s: (D,) wall-clock time of each of the planner's decisions
+    agent_au: (S+1, 2); targets_au: (S+1, N, 2) true positions; told_au: (S+1, N, 2) where each
+    target was said to be seen, NaN where it was not, and at the start; decisions_s: (D,) wall-clock
+    time of each of the planner's decisions
     """
 
     conditions: Conditions
     agent_au: FloatArray
     targets_au: FloatArray
-    observed: BoolArray
+    told_au: FloatArray
     decisions_s: FloatArray
 
     def metrics(self) -> EpisodeMetrics:
@@ -65,7 +68,7 @@ class Episode:
             self.conditions.times_au,
             self.agent_au,
             self.targets_au,
-            self.observed,
+            self.told_au,
             prior=self.conditions.prior,
         )
 
@@ -92,7 +95,7 @@ def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) ->
     if isinstance(planner, Clairvoyant):
         planner.foresee(targets_at)
         told = "full"
-    agent = _Agent(instance.start_au, targets_at, conditions, told)
+    agent = _Agent(instance, targets_at, conditions, told)
     who = f"planner {planner.name}, seed {instance.seed},"
     with blaming(who, PlannerError):
         planner.reset(agent.brief(instance.stream("planner")), roadmap)
@@ -114,16 +117,17 @@ class _Agent:
     """The agent in its world: where it is, what it has measured, what it knows."""
 
     def __init__(
-        self, start_au: FloatArray, targets_at: TargetsAt, conditions: Conditions, told: Prior
+        self, instance: Instance, targets_at: TargetsAt, conditions: Conditions, told: Prior
     ) -> None:
         self._conditions = conditions
+        self._rng = instance.stream("sensor")
         self._times_au = conditions.times_au
         self._targets_au = targets_at(self._times_au)
-        self._agent_au = [start_au]
-        self.position_au = start_au
+        self._agent_au = [instance.start_au]
+        self.position_au = instance.start_au
         self._residual_au = 0.0
         self._node: int | None = 0  # the roadmap's first node is the start
-        self._observed = [np.zeros(self._targets_au.shape[1], dtype=np.bool_)]
+        self._told_au = [np.full_like(self._targets_au[0], np.nan)]
         self._roster = Roster(told, self._targets_au[0])
         self._sightings = Sightings(self._roster.priors_au)
         self._belief = Belief(self._sightings)
@@ -136,6 +140,7 @@ class _Agent:
             start_au=self._agent_au[0].copy(),
             horizon_au=self._conditions.horizon_au,
             rng=rng,
+            sensor=self._conditions.sensor,
         )
 
     @property
@@ -166,8 +171,9 @@ class _Agent:
             index = len(self._agent_au)
             truth = measure(float(self._times_au[index]), position_au, self._targets_au[index])
             self._agent_au.append(position_au)
-            self._observed.append(truth.seen)
-            self._sightings.add(self._roster.tell(truth))
+            told = misread(truth, self._conditions.sensor, ARENA, self._rng)
+            self._told_au.append(told.target_au)
+            self._sightings.add(self._roster.tell(told))
         self.position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
 
     def episode(self, decisions_s: FloatArray) -> Episode:
@@ -176,6 +182,6 @@ class _Agent:
             conditions=self._conditions,
             agent_au=np.stack(self._agent_au),
             targets_au=self._targets_au,
-            observed=np.stack(self._observed),
+            told_au=np.stack(self._told_au),
             decisions_s=decisions_s,
         )

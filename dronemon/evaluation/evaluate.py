@@ -17,7 +17,7 @@ from dronemon.evaluation.episode import Episode, fly_episode
 from dronemon.evaluation.options import EpisodeSpec, Key, Options, PlannerSpec
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, append_result, load_results
-from dronemon.evaluation.sections import table2_rows
+from dronemon.evaluation.sections import table2_rows, ways_covered
 from dronemon.evaluation.tables import average_by_cell
 from dronemon.planner import Planner, create_planner
 from dronemon.terminal import LenientConsole
@@ -119,6 +119,10 @@ def _draw(results: Sequence[Result], options: Options) -> None:
         figures.draw_over_time(unplaced, lambda r: r.found_over_time, found, path)
     if flown := table2_rows(average_by_cell(results)):
         figures.draw_table2(flown, out / "table2.png")
+    covered = ways_covered(average_by_cell(results))
+    if len({(of.cell.num_targets, of.cell.speed_ratio, of.cell.num_nodes) for of in covered}) == 1:
+        for name in ("unc", "jsd"):
+            figures.draw_conditions(covered, name, out / f"conditions_{name}.png")
     cell = min(
         options.sweep.cells,
         key=lambda cell: (abs(cell.num_targets - 4), abs(cell.speed_ratio - Fraction(1, 20))),
@@ -167,7 +171,7 @@ def _run(spec: EpisodeSpec, *, code: str) -> Result:
                 targets_au=episode.targets_au,
                 unc=metrics.unc,
                 jsd=metrics.jsd,
-                observed=episode.observed,
+                told_au=episode.told_au,
             )
         partial.replace(path)
     found = np.logical_or.accumulate(metrics.observed)

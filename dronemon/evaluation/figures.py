@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from dronemon.belief.metrics import GRID_SIZE
 from dronemon.evaluation.episode import Episode
 from dronemon.evaluation.options import DEFAULT_NODES, Cell
 from dronemon.evaluation.results import Result
-from dronemon.evaluation.sections import TABLE2_ROWS, published_table2
+from dronemon.evaluation.sections import TABLE2_ROWS, Covered, published_table2
 from dronemon.evaluation.tables import Row
 from dronemon.problem import LOST_STD, MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
@@ -39,22 +40,23 @@ def draw_over_time(
 ) -> None:
     """Draw means over instances with their standard errors.
 
-    A panel per number of targets and world, which is speed ratio, prior and motion.
+    A panel per number of targets and world, which is speed ratio, prior, motion and sensor.
 
     value: (S,) of an episode at each measurement; label: what it is
     """
     counts = sorted({result.cell.num_targets for result in results})
     worlds = list(dict.fromkeys(_world(result.cell) for result in results))
     methods = list(dict.fromkeys(result.method for result in results))
-    figure = Figure(
-        figsize=(3.2 * len(worlds) + 1.0, 2.4 * len(counts) + 0.8), layout="constrained"
-    )
-    panels = figure.subplots(len(counts), len(worlds), sharex=True, sharey=True, squeeze=False)
+    num_columns = min(len(worlds), MAX_COLUMNS)
+    num_rows = math.ceil(len(counts) * len(worlds) / num_columns)
+    figure = Figure(figsize=(3.2 * num_columns + 1.0, 2.4 * num_rows + 0.8), layout="constrained")
+    grid = figure.subplots(num_rows, num_columns, sharex=True, sharey=True, squeeze=False)
+    panels = dict(zip(product(counts, worlds), grid.flat, strict=False))
     groups: dict[tuple[Cell, str], list[Sequence[float]]] = {}
     for result in results:
         groups.setdefault((result.cell, result.method), []).append(value(result))
     for (cell, method), curves in groups.items():
-        panel = panels[counts.index(cell.num_targets), worlds.index(_world(cell))]
+        panel = panels[cell.num_targets, _world(cell)]
         mean = np.mean(curves, axis=0)
         times_au = MEASUREMENT_INTERVAL_AU * np.arange(1, len(mean) + 1)
         colour = COLOURS(methods.index(method) % 10)
@@ -64,7 +66,9 @@ def draw_over_time(
             error = np.std(curves, axis=0, ddof=1) / math.sqrt(len(curves))
             panel.fill_between(times_au, mean - error, mean + error, color=colour, alpha=0.2, lw=0)
         panel.set_title(f"N = {cell.num_targets}, {_world(cell)}", fontsize=9)
-    _add_legend(figure, panels.flat)
+    for empty in grid.flat[len(panels) :]:
+        empty.remove()
+    _add_legend(figure, panels.values())
     figure.supxlabel("trajectory length (au)")
     figure.supylabel(label)
     _save(figure, path)
@@ -73,9 +77,44 @@ def draw_over_time(
 def _world(cell: Cell) -> str:
     """What figures call what a column of theirs shows."""
     prior = "" if cell.prior == "full" else f", prior: {cell.prior}"
-    return f"$r_v$ = {cell.speed_ratio}{prior}" + (
-        "" if cell.motion == "tsp" else f", {cell.motion}"
+    motion = "" if cell.motion == "tsp" else ", " + cell.motion.replace("$", r"\$")
+    sensor = "" if cell.sensor.is_perfect else f", {cell.sensor}"
+    return f"$r_v$ = {cell.speed_ratio}{prior}{motion}{sensor}"
+
+
+def draw_conditions(covered: Sequence[Covered], name: str, path: Path) -> None:
+    """Draw what share of the way each planner covers: motions along, a panel per eye and prior.
+
+    name: unc or jsd
+    """
+    sensors = list(dict.fromkeys(str(of.cell.sensor) for of in covered))
+    priors = list(dict.fromkeys(of.cell.prior for of in covered))
+    motions = list(dict.fromkeys(of.cell.motion for of in covered))
+    methods = list(dict.fromkeys(method for of in covered for method in of.shares))
+    shares = {
+        (str(of.cell.sensor), of.cell.prior, of.cell.motion, method): values[name]
+        for of in covered
+        for method, values in of.shares.items()
+    }
+    figure = Figure(
+        figsize=(0.7 * len(motions) * len(priors) + 1.5, 2.2 * len(sensors) + 1.0),
+        layout="constrained",
     )
+    grid = figure.subplots(len(sensors), len(priors), sharex=True, sharey=True, squeeze=False)
+    width = 0.8 / len(methods)
+    for (sensor, prior), panel in zip(product(sensors, priors), grid.flat, strict=True):
+        for m, method in enumerate(methods):
+            heights = [shares.get((sensor, prior, motion, method), np.nan) for motion in motions]
+            places = np.arange(len(motions)) + (m + 0.5) * width - 0.4
+            panel.bar(places, heights, width, color=COLOURS(m % 10), label=method)
+        panel.axhline(0.0, color="grey", linewidth=0.8)
+        panel.axhline(1.0, color="grey", linewidth=0.8, linestyle="--")
+        panel.set_title(f"sensor: {sensor}, prior: {prior}", fontsize=8)
+        panel.set_ylim(-0.5, 1.2)
+        panel.set_xticks(np.arange(len(motions)), motions, rotation=45, fontsize=8, ha="right")
+    _add_legend(figure, grid.flat)
+    figure.supylabel(f"share of the way in {'Unc' if name == 'unc' else 'JSD'}")
+    _save(figure, path)
 
 
 def _add_legend(figure: Figure, panels: Iterable[Axes]) -> None:
@@ -199,13 +238,13 @@ def believe(episode: Episode, instant: int) -> FloatArray:
     sightings = Sightings(first_au if is_placed else np.full_like(first_au, np.nan))
     times_au = episode.conditions.times_au
     for index in range(1, instant + 1):
-        seen = episode.observed[index]
+        told_au = episode.told_au[index]
         sightings.add(
             Measurement(
                 time_au=float(times_au[index]),
                 agent_au=episode.agent_au[index],
-                seen=seen,
-                target_au=np.where(seen[:, None], episode.targets_au[index], np.nan),
+                seen=~np.isnan(told_au[:, 0]),
+                target_au=told_au,
             )
         )
     points_au = ARENA.grid(GRID_SIZE)

@@ -17,7 +17,9 @@ from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
 from dronemon.planner import create_planner, has_weights, planner_names
-from dronemon.problem import MAX_HISTORY, MOTIONS, Motion, Prior
+from dronemon.problem import MAX_HISTORY, MOTIONS, Prior, is_tracks
+from dronemon.sensor import PERFECT, Sensor
+from dronemon.world.motions import motion_flaw
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
 MAX_TARGETS = 100
@@ -26,13 +28,14 @@ DEFAULT_NODES = 200
 
 @dataclass(frozen=True, slots=True, order=True, kw_only=True)
 class Cell:
-    """One field of a table: what is known at the start, how targets move, and the roadmap."""
+    """One field of a table: what is known at first, the roadmap, how targets move and are seen."""
 
     prior: Prior
     num_targets: int
     speed_ratio: Fraction
     num_nodes: int = DEFAULT_NODES
-    motion: Motion = "tsp"
+    motion: str = "tsp"
+    sensor: Sensor = PERFECT
 
 
 Key = tuple[str, Cell, int, str]
@@ -47,14 +50,23 @@ class Sweep:
     speed_ratios: tuple[Fraction, ...] = (Fraction(1, 10),)
     priors: tuple[Prior, ...] = ("full",)
     nodes: tuple[int, ...] = (DEFAULT_NODES,)
-    motions: tuple[Motion, ...] = ("tsp",)
+    motions: tuple[str, ...] = ("tsp",)
+    sensors: tuple[Sensor, ...] = (PERFECT,)
 
     @property
     def cells(self) -> list[Cell]:
         """All combinations, in the order in which values were named."""
         return [
-            Cell(prior=prior, num_targets=count, speed_ratio=speed, num_nodes=nodes, motion=motion)
+            Cell(
+                prior=prior,
+                num_targets=count,
+                speed_ratio=speed,
+                num_nodes=nodes,
+                motion=motion,
+                sensor=sensor,
+            )
             for motion in self.motions
+            for sensor in self.sensors
             for prior in self.priors
             for count in self.targets
             for speed in self.speed_ratios
@@ -69,6 +81,12 @@ TABLE1 = Sweep(
 TABLE2 = Sweep(nodes=(50, 100, 150, 200, 300, 400))
 FIGURE4 = Sweep(targets=(4, 6), speed_ratios=(Fraction(1, 20),))
 FIGURE5 = Sweep(targets=(4, 6), speed_ratios=(Fraction(1, 20),), priors=PRIORS)
+CONDITIONS = Sweep(
+    priors=PRIORS,
+    motions=MOTIONS,
+    sensors=(PERFECT, Sensor(miss=0.1), Sensor(miss=0.1, false_alarms=0.05)),
+)
+"""Beside the paper's world, others; of these it is asked how much of the way a planner covers."""
 PAPER_INSTANCES = 100
 TABLE2_PLANNERS = {
     "stamp:paper@1": "1",
@@ -121,7 +139,7 @@ class PlannerSpec:
         """Digest of the checkpoint's bytes, so that other weights are another planner."""
         if not has_weights(self.kind):
             return None
-        return hashlib.sha256(find_checkpoint(self.checkpoint).read_bytes()).hexdigest()
+        return _file_digest(find_checkpoint(self.checkpoint))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,7 +170,7 @@ class EpisodeSpec:
         cell = self.cell
         name = (
             f"{self.planner.method}_N{cell.num_targets}_{cell.speed_ratio}_{cell.prior}"
-            f"_V{cell.num_nodes}_{cell.motion}_seed{self.seed}_{self.settings}.npz"
+            f"_V{cell.num_nodes}_{Path(cell.motion).stem[:40]}_{cell.sensor}_seed{self.seed}_{self.settings}.npz"
         )
         return self.folder / name.replace(":", "-").replace("/", "-")
 
@@ -182,6 +200,7 @@ class Options:
         over = self.sweep
         lists = {"planner": methods, "targets": over.targets, "speed": over.speed_ratios}
         lists |= {"prior": over.priors, "nodes": over.nodes, "motion": over.motions}
+        lists |= {"sensor": over.sensors}
         for name, values in lists.items():
             _require(len(values) > 0, f"--{name} is empty; name at least one")
             _require(
@@ -195,7 +214,7 @@ class Options:
         for prior in over.priors:
             _require(prior in PRIORS, f"--prior {prior} is none of {', '.join(PRIORS)}")
         for motion in over.motions:
-            _require(motion in MOTIONS, f"--motion {motion} is none of {', '.join(MOTIONS)}")
+            _require(not (flaw := motion_flaw(motion, max(over.targets))), f"--motion {flaw}")
         _require(self.instances >= 1, f"--instances {self.instances} is less than 1")
         _require(self.first_seed >= 0, f"--first-seed {self.first_seed} is less than 0")
         _require(self.workers >= 1, f"--workers {self.workers} is less than 1")
@@ -223,13 +242,20 @@ class Options:
             f" --prior {_listed(over.priors)} --instances {self.instances}"
             f" --first-seed {self.first_seed} --horizon {self.horizon_au:g}"
             f" --nodes {_listed(over.nodes)} --motion {_listed(over.motions)}"
+            f" --sensor {_listed(over.sensors)}"
         )
 
     @cached_property
-    def _settings(self) -> dict[PlannerSpec, str]:
-        """Digest, per planner, of what decides an outcome besides the rest of a key."""
+    def _settings(self) -> dict[tuple[PlannerSpec, str], str]:
+        """Digest, per planner and motion, of what decides an outcome besides the rest of a key."""
         common = {"version": __version__, "horizon": self.horizon_au}
-        return {p: _digest({**common, "weights": p.weights_digest}) for p in self.planners}
+        weights = {p: p.weights_digest for p in self.planners}
+        tracks = {m: {"tracks": _file_digest(Path(m))} for m in self.sweep.motions if is_tracks(m)}
+        return {
+            (p, m): _digest({**common, "weights": weights[p], **tracks.get(m, {})})
+            for p in self.planners
+            for m in self.sweep.motions
+        }
 
     def episodes(self) -> Iterator[EpisodeSpec]:
         """All episodes; seed by seed, so that an unfinished run covers all cells alike."""
@@ -245,13 +271,14 @@ class Options:
             prior=cell.prior,
             horizon_au=self.horizon_au,
             num_nodes=cell.num_nodes,
+            sensor=cell.sensor,
         )
         return EpisodeSpec(
             planner=planner,
             cell=cell,
             seed=seed,
             conditions=conditions,
-            settings=self._settings[planner],
+            settings=self._settings[planner, cell.motion],
             folder=self.out / "episodes" if self.save_episodes else None,
         )
 
@@ -263,6 +290,10 @@ def _listed(values: Iterable[object]) -> str:
 def _digest(facts: dict[str, object]) -> str:
     """Short digest of facts. -> 12 hexadecimal digits."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _file_digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _require(is_met: bool, otherwise: str) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from dronemon.evaluation.markdown import markdown_table, number, plus_minus
 from dronemon.evaluation.options import DEFAULT_NODES, Cell
 from dronemon.evaluation.results import Result
-from dronemon.evaluation.sections import priors_section, table2_section
+from dronemon.evaluation.sections import conditions_section, priors_section, table2_section
 from dronemon.evaluation.tables import (
     AGREEMENT,
     BOUND,
@@ -32,7 +32,8 @@ from dronemon.evaluation.tables import (
     published_overall,
     published_rows,
 )
-from dronemon.problem import Motion, Prior
+from dronemon.problem import Prior
+from dronemon.sensor import Sensor
 
 UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
 
@@ -69,6 +70,7 @@ def write_tables(
         "",
         *table2_section(rows, is_as_published=is_as_published),
         *priors_section(results),
+        *conditions_section(rows),
         *_cell_tables(rows, published),
         *_paired(differences),
     ]
@@ -112,6 +114,7 @@ def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
             "prior": row.cell.prior,
             "nodes": str(row.cell.num_nodes),
             "motion": row.cell.motion,
+            "sensor": str(row.cell.sensor),
             "instances": str(row.instances) if row.instances else "",
             **_columns(row, others),
             "decision_ms": number(row.decision_s * 1e3, "decision_ms"),
@@ -204,15 +207,17 @@ def _verdicts(results: Sequence[Result], rows: Sequence[Row]) -> list[str]:
 def _cell_tables(rows: Sequence[Row], published: Sequence[Row]) -> list[str]:
     """Tables per prior and number of targets: a line per method, a column per speed ratio."""
     lines: list[str] = []
-    groups: dict[tuple[Motion, Prior, int], list[Cell]] = {}
+    groups: dict[tuple[str, Sensor, Prior, int], list[Cell]] = {}
     for cell in dict.fromkeys(row.cell for row in rows):
-        groups.setdefault((cell.motion, cell.prior, cell.num_targets), []).append(cell)
+        world = cell.motion, cell.sensor, cell.prior, cell.num_targets
+        groups.setdefault(world, []).append(cell)
     by_method: dict[str, dict[Cell, Row]] = {}
     for row in [*rows, *published]:
         by_method.setdefault(row.method, {})[row.cell] = row
-    for (motion, prior, count), cells in groups.items():
+    for (motion, sensor, prior, count), cells in groups.items():
         moving = "" if motion == "tsp" else f", motion: {motion}"
-        lines += [f"## N = {count}, prior: {prior}{moving}", ""]
+        seeing = "" if sensor.is_perfect else f", sensor: {sensor}"
+        lines += [f"## N = {count}, prior: {prior}{moving}{seeing}", ""]
         for name, title in (
             ("unc", "Unc (standard deviation between targets)"),
             ("min_ob", "MinOb"),

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from dronemon.belief import Scores
-from dronemon.errors import RecordError
+from dronemon.errors import OptionError, RecordError
 from dronemon.evaluation.options import DEFAULT_NODES, Cell, Key
+from dronemon.sensor import Sensor
 
 UNKNOWN_CODE = "unknown"
 """Code of episodes from before results named it."""
@@ -55,14 +56,16 @@ class Result:
             "prior": cell["prior"],
             "nodes": cell["num_nodes"],
             "motion": cell["motion"],
+            "sensor": str(self.cell.sensor),
             "scores": {n: None if math.isnan(value) else value for n, value in scores.items()},
         }
         return json.dumps(record, allow_nan=False)
 
     @classmethod
     def from_json(cls, line: str) -> Result:
-        """Read a line that `as_json` wrote. Raises ValueError, KeyError or TypeError otherwise."""
+        """Read a line that `as_json` wrote. Raises Value-, Key-, Type- or OptionError otherwise."""
         before = {"code": UNKNOWN_CODE, "nodes": DEFAULT_NODES, "motion": "tsp"}
+        before |= {"sensor": "perfect"}
         record: dict[str, Any] = {**before, "found_over_time": (), **json.loads(line)}
         scores: dict[str, Any] = {
             name: math.nan if value is None else value for name, value in record["scores"].items()
@@ -74,6 +77,7 @@ class Result:
                 speed_ratio=Fraction(record.pop("speed_ratio")),
                 num_nodes=record.pop("nodes"),
                 motion=record.pop("motion"),
+                sensor=Sensor.parse(record.pop("sensor")),
             ),
             "scores": Scores(**scores),
             "unc_over_time": tuple(record["unc_over_time"]),
@@ -98,7 +102,7 @@ def load_results(path: Path) -> dict[Key, Result]:
     for number, line in enumerate(whole.decode().splitlines(), start=1):
         try:
             result = Result.from_json(line)
-        except (ValueError, KeyError, TypeError, AttributeError) as exc:
+        except (ValueError, KeyError, TypeError, AttributeError, OptionError) as exc:
             raise RecordError(
                 f"{path}:{number} is no finished episode ({exc!r}); remove the line, and "
                 "the episode is flown again"

@@ -7,18 +7,26 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
 
-from dronemon.evaluation.markdown import markdown_table, plus_minus
+from dronemon.evaluation.markdown import markdown_table, number, plus_minus
 from dronemon.evaluation.options import TABLE2, TABLE2_PLANNERS, Cell, PlannerSpec
 from dronemon.evaluation.results import Result
-from dronemon.evaluation.tables import Estimate, Row
+from dronemon.evaluation.tables import BOUND, Estimate, Row, gap_closed
 
 TABLE2_ROWS = {PlannerSpec.parse(text).method: row for text, row in TABLE2_PLANNERS.items()}
 """Method -> its row in the paper's Table II."""
+
+WORLD = ("motion", "sensor", "prior", "N", "r_v", "V")
+LEAST_WAY = 0.01
+"""Difference of the ends, in Unc or JSD, from which shares of it are told."""
+WORST = "lawnmower"
+"""What sees nothing of the targets: the other end of the way to the bound."""
 
 
 def published_table2() -> dict[str, dict[int, float]]:
@@ -61,6 +69,83 @@ def table2_section(rows: Iterable[Row], *, is_as_published: bool) -> list[str]:
     ]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Covered:
+    """One kind of world: the ends of the way in it, and the share of it that each planner covers.
+
+    worst, bound: the ends' figures; shares: method -> unc and jsd -> share
+    """
+
+    cell: Cell
+    worst: Row
+    bound: Row
+    shares: Mapping[str, Mapping[str, float]]
+
+
+def ways_covered(rows: Iterable[Row]) -> list[Covered]:
+    """Worlds in which both ends of the way were flown; nothing if all of one kind."""
+    by_cell: dict[Cell, dict[str, Row]] = {}
+    for row in rows:
+        by_cell.setdefault(row.cell, {})[row.method] = row
+    covered = [
+        Covered(
+            cell=cell,
+            worst=of[WORST],
+            bound=of[BOUND],
+            shares={
+                method: {
+                    name: _share(*(r.figures[name].mean for r in (row, of[WORST], of[BOUND])))
+                    for name in ("unc", "jsd")
+                }
+                for method, row in of.items()
+                if method not in (WORST, BOUND)
+            },
+        )
+        for cell, of in by_cell.items()
+        if {WORST, BOUND} < of.keys()
+    ]
+    return covered if len({(of.cell.motion, of.cell.sensor) for of in covered}) > 1 else []
+
+
+def _share(ours: float, worst: float, bound: float) -> float:
+    """Of the way; NaN where there is hardly one."""
+    return gap_closed(ours, worst, bound) if worst - bound > LEAST_WAY else math.nan
+
+
+def _percent(share: float) -> str:
+    return "" if math.isnan(share) else f"{100.0 * share:.0f} %"
+
+
+def conditions_section(rows: Iterable[Row]) -> list[str]:
+    """How much of the way from the lawnmower to the bound each planner covers, world by world."""
+    covered = ways_covered(rows)
+    if not covered:
+        return []
+    methods = list(dict.fromkeys(method for of in covered for method in of.shares))
+    body = [
+        [
+            *(of.cell.motion, str(of.cell.sensor), of.cell.prior),
+            *(str(of.cell.num_targets), str(of.cell.speed_ratio), str(of.cell.num_nodes)),
+            *(
+                " / ".join(number(end.figures[name].mean, name) for name in ("unc", "jsd"))
+                for end in (of.worst, of.bound)
+            ),
+            *(
+                " / ".join(_percent(share) for share in of.shares[method].values())
+                if method in of.shares
+                else ""
+                for method in methods
+            ),
+        ]
+        for of in covered
+    ]
+    return [
+        f"## Other worlds: share of the way from {WORST} to {BOUND}, in Unc / JSD",
+        "",
+        *markdown_table([*WORLD, WORST, BOUND, *methods], body),
+    ]
+
+
 def priors_section(results: Sequence[Result]) -> list[str]:
     """Unc by third of the mission under each prior; nothing where only one was flown."""
     is_short = any(len(result.unc_over_time) < 3 for result in results)
@@ -75,6 +160,7 @@ def priors_section(results: Sequence[Result]) -> list[str]:
             str(cell.speed_ratio),
             str(cell.num_nodes),
             cell.motion,
+            str(cell.sensor),
             method,
             cell.prior,
             *(plus_minus(_over(group, _mean_of_third(k)), "unc") for k in range(3)),
@@ -91,7 +177,7 @@ def priors_section(results: Sequence[Result]) -> list[str]:
         "",
         *markdown_table(
             [
-                *("N", "r_v", "V", "motion", "method", "prior"),
+                *("N", "r_v", "V", "motion", "sensor", "method", "prior"),
                 *(f"Unc, {third}" for third in thirds),
                 "MinOb",
                 *(f"found, {third}" for third in thirds),

@@ -181,9 +181,9 @@ def published_overall() -> dict[str, dict[str, float]]:
     }
 
 
-def gap_closed(ours: float, network: float, bound: float) -> float:
-    """Share of the way from the paper's network to the bound."""
-    return (network - ours) / (network - bound)
+def gap_closed(ours: float, worse: float, bound: float) -> float:
+    """Share of the way from a worse figure, such as the paper's network's, to the bound."""
+    return (worse - ours) / (worse - bound)
 
 
 def count_better(rows: Sequence[Row], method: str) -> tuple[int, int, int]:

@@ -48,6 +48,10 @@ KINDS = {
     "misdate": FaultKind(what="pictures are stamped VALUE seconds off", values=(-1000.0, 1000.0)),
     "hide": FaultKind(what="a share VALUE of animals is out of sight in pictures", values=_SHARE),
     "decoy": FaultKind(what="a share VALUE of pictures shows an animal too many", values=_SHARE),
+    "mistake": FaultKind(what="a share VALUE of animals looks like another one", values=_SHARE),
+    "misplace": FaultKind(
+        what="animals are off by VALUE metres in pictures, one sigma per axis", values=(0.0, 100.0)
+    ),
 }
 _PARAMETER = FaultKind(
     what="the autopilot's parameter is VALUE", values=(-math.inf, math.inf), is_lasting=False

@@ -14,6 +14,7 @@ from dronemon.mission.addresses import is_video_file
 from dronemon.mission.checks import mission_problems
 from dronemon.mission.document import Document, KeyPath, Overrides, Problem
 from dronemon.mission.schema import Mission
+from dronemon.problem import is_tracks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +81,7 @@ def _anchor_files(data: dict[str, Any], folder: Path) -> None:
     for section, key, is_file in (
         ("planner", "checkpoint", lambda name: Path(name).suffix or Path(name).parent != Path()),
         ("camera", "url", is_video_file),
+        ("simulation", "motion", is_tracks),
     ):
         given = data.get(section)
         if isinstance(given, dict) and isinstance(name := given.get(key), str) and is_file(name):

@@ -18,10 +18,13 @@ from dronemon.problem import (
     LENGTH_SCALE_AU,
     MAX_HISTORY,
     MEASUREMENT_INTERVAL_AU,
+    MOTIONS,
     SENSOR_RADIUS_AU,
     TIME_SCALE_AU,
-    Motion,
+    is_tracks,
 )
+from dronemon.sensor import LIMITS
+from dronemon.sensor import Sensor as SensorModel
 from dronemon.types import APPEARANCES, GRAVITY_M_S2, Appearance, CameraModel
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -189,6 +192,24 @@ class Detector(Section):
     """Detections less certain than this are dropped."""
 
 
+class Sensor(Section):
+    """How the eye is expected to err; a simulated one does by its faults hide, decoy and so on."""
+
+    miss: float = Field(0.0, ge=0.0, le=LIMITS["miss"])
+    """Chance that a target in view is not found."""
+    false_alarms: float = Field(0.0, ge=0.0, le=LIMITS["false_alarms"])
+    """Targets found in a picture where there are none, in the mean."""
+    position_au: float = Field(0.0, ge=0.0, le=LIMITS["position_au"])
+    """Error of the place of a target found, one sigma per axis, over the area's side."""
+    confusion: float = Field(0.0, ge=0.0, le=LIMITS["confusion"])
+    """Chance that a target found is taken for another."""
+
+    @property
+    def model(self) -> SensorModel:
+        """What planners take."""
+        return SensorModel(**self.model_dump())
+
+
 class Target(Section):
     """One animal to watch."""
 
@@ -255,8 +276,8 @@ class Simulation(Section):
     """Targets' speed over the drone's."""
     speed_spread: float = Field(0.0, ge=0.0, le=0.9)
     """Share by which targets may be faster or slower than that."""
-    motion: Motion = "tsp"
-    """tsp (the paper's), waypoints, correlated, brownian, grazing, loop, herd or road."""
+    motion: str = "tsp"
+    """tsp (the paper's), waypoints, correlated, brownian, grazing, loop, herd, road, or a file."""
     wind_m_s: float = Field(0.0, ge=0.0, le=15.0)
     """Mean wind speed."""
     wind_from_deg: float = Field(270.0, ge=0.0, le=360.0)
@@ -265,6 +286,15 @@ class Simulation(Section):
     """Error of the estimated position, one sigma per axis."""
     faults: Annotated[tuple[str, ...], Field(strict=False)] = Field((), max_length=100)
     """Things to go wrong: KIND[=VALUE][@SECONDS after arming][+DURATION]."""
+
+    @field_validator("motion")
+    @classmethod
+    def _is_motion(cls, name: str) -> str:
+        if name not in MOTIONS and not is_tracks(name):
+            raise ValueError(
+                f"{name!r:.80} is none of {', '.join(MOTIONS)}, nor a .csv or .gpx file of tracks"
+            )
+        return name
 
     @field_validator("faults")
     @classmethod
@@ -300,6 +330,7 @@ class Mission(Section):
     vehicle: Vehicle = Vehicle()
     camera: Camera = Camera()
     detector: Detector = Detector()
+    sensor: Sensor = Sensor()
     targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=len(APPEARANCES))
     """The animals to watch, each with its own name and appearance."""
     belief: Belief = Belief()

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from dronemon.arena import ARENA, Arena
+from dronemon.sensor import PERFECT, Sensor
 from dronemon.types import FloatArray
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ class Briefing:
     horizon_au:  distance to fly
     rng:         the planner's own randomness
     arena:       where waypoints may be
+    sensor:      how the eye errs
     """
 
     num_targets: int
@@ -84,6 +86,7 @@ class Briefing:
     horizon_au: float
     rng: np.random.Generator
     arena: Arena = ARENA
+    sensor: Sensor = PERFECT
 
     @property
     def num_imagined(self) -> int:

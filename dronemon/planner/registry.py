@@ -33,6 +33,7 @@ _SHIPPED: dict[str, Callable[..., Planner]] = {
     "clairvoyant": ClairvoyantTspLoop,
     "clairvoyant-search": lambda: _load("search:ClairvoyantSearchPlanner")(),
     "lawnmower": Lawnmower,
+    "present-search": lambda: _load("search:PresentSearchPlanner")(),
     "search": lambda: _load("search:SearchPlanner")(),
     "search-roadmap": lambda: _load("search:RoadmapSearchPlanner")(),
     "stamp": lambda *given: _load("learned:LearnedPlanner.load")(*given),
@@ -44,6 +45,7 @@ _ABOUT = {
     "clairvoyant": "tsp, told where targets will be: a bound, never flown",
     "clairvoyant-search": "search, told where targets will be: a bound, never flown",
     "lawnmower": "parallel lanes over the whole area, blind to what is seen",
+    "present-search": "search, told where targets are but not where they will be: a bound",
     "search": "tries paths ahead on samples of where targets may be; the default",
     "search-roadmap": "search along the edges of the roadmap",
     "stamp": "attention network over the roadmap; flies trained weights",
@@ -64,8 +66,8 @@ def has_weights(kind: str) -> bool:
 
 
 def is_bound(kind: str) -> bool:
-    """Whether planners of this name must be told the future, and so cannot fly."""
-    return kind in {"clairvoyant", "clairvoyant-search"}
+    """Whether planners of this name must be told the truth, and so cannot fly."""
+    return kind in {"clairvoyant", "clairvoyant-search", "present-search"}
 
 
 def create_planner(

@@ -26,6 +26,9 @@ from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, IntArray
 from dronemon.world import measure
 
+_SOON_AU = 1e-3
+"""Time in which a heading is told."""
+
 
 class SearchPlanner:
     """Flies freely, a measurement's interval at a time."""
@@ -48,6 +51,7 @@ class SearchPlanner:
             self._rng,
             num_imagined=briefing.num_imagined,
             arena=briefing.arena,
+            sensor=briefing.sensor,
         )
         self._arena = briefing.arena
         self._ground = self._make_ground(roadmap)
@@ -145,9 +149,7 @@ class SearchPlanner:
             tables,
             probe_age,
         )
-        since = np.full(num_targets, np.inf)
-        seen_au = snapshot.sightings.last_seen_au
-        since[: len(seen_au)] = (snapshot.time_au - seen_au) / MEASUREMENT_INTERVAL_AU
+        since = (snapshot.time_au - self._particles.last_seen_au) / MEASUREMENT_INTERVAL_AU
         weight = np.full(num_targets, 1.0 / num_each)
         weight[np.isinf(since)] *= self.settings.unfound_weight
         num_unknown = self.settings.num_unknown * self._particles.undetected
@@ -237,6 +239,22 @@ class ClairvoyantSearchPlanner(SearchPlanner):
         return places[0], places[1:], speed
 
 
+class PresentSearchPlanner(ClairvoyantSearchPlanner):
+    """The same search, told where the targets are now and whither they go, but not what follows.
+
+    Between it and ours lies what better beliefs could bring, between it and the clairvoyant what
+    knowing the future could.
+    """
+
+    name = "present-search"
+
+    def _foreseen(self, time_au: float) -> tuple[FloatArray, FloatArray, float]:
+        """The true places now, walked on as the particles are."""
+        places_au, soon_au = self._targets_at(time_au + np.array([0.0, _SOON_AU]))
+        self._particles.place(places_au, (soon_au - places_au) / _SOON_AU)
+        return SearchPlanner._foreseen(self, time_au)
+
+
 def _is_found(gain: float) -> bool:
     return math.isfinite(gain) and gain > paths.NOTHING
 
@@ -258,17 +276,18 @@ def _compile() -> None:
         ),
         roadmap,
     )
-    for time_au in (0.1, 0.2):  # misses where the target must be: all particles are replaced
-        sightings.add(measure(time_au, here_au, here_au[None] + 1.0))
+    # Misses where the target must be, so that all particles are replaced, and a sight.
+    for time_au, target_au in ((0.1, here_au + 1.0), (0.2, here_au + 1.0), (0.3, here_au)):
+        sightings.add(measure(time_au, here_au, target_au[None]))
     planner.next_waypoint(
         Snapshot(
-            time_au=0.2,
-            flown_au=0.2,
+            time_au=0.3,
+            flown_au=0.3,
             position_au=here_au,
             node=None,
             sightings=sightings,
             belief=Belief(sightings),
             roadmap=roadmap,
-            remaining_au=0.8,
+            remaining_au=0.7,
         )
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from dronemon.planner.walking import KINDS, Kind
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 
 
@@ -16,16 +17,22 @@ class MotionSettings:
     """Of each target."""
     slowest: float = 0.005
     fastest: float = 0.3
-    turns_per_au: float = 8.5
-    """How often a target turns per length walked, on development paths (seeds 10000 to 10059)."""
+    kinds: tuple[Kind, ...] = KINDS
+    """Ways in which they may move, all as likely before anything is seen."""
+    least_share: float = 0.01
+    """Particles that move in a way which fits the sightings badly."""
+    most_certain: float = 5.0
+    """Greatest log of the odds of one way against another."""
+    closeness_au: float = 0.005
+    """How near to a sighting particles must come to have foreseen it,"""
+    closeness_share: float = 0.15
+    """and how much of what was walked since the last one is added to that."""
     noise_au: float = 0.0015
     """Of a displacement between two sightings."""
     trail_radius_au: float = 0.1
-    """Targets seldom come this close to their own trail,"""
+    """Nearer than this to its own trail a target is seldom, if it is of such a kind,"""
     trail_au: float = 5.0
-    """as far as they walked it in this length."""
-    trail_doubt: float = 0.9
-    """Chance that a particle which did is removed, at each miss."""
+    """as far as it walked it in this length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -177,6 +177,7 @@ def carried_on(snapshot: Snapshot, arena: Arena) -> PlacesAt:
         if len(sights) == 2:
             then, now = np.array(sights)
             velocities[target] = (now[1:] - then[1:]) / max(now[0] - then[0], SHORTEST_AU)
+    times_au = np.where(np.isfinite(times_au), times_au, 0.0)  # of those whose place is unknown
     return lambda time_au: places_au + velocities * (time_au - times_au)[:, None]
 
 

@@ -198,6 +198,7 @@ def brief(
         start_au=start_au.copy(),
         horizon_au=mission.horizon_au,
         rng=named_stream(mission.simulation.seed, stream),
+        sensor=mission.sensor.model,
     )
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronemon.arena import ARENA
-from dronemon.problem import Motion
 from dronemon.types import FloatArray
 from dronemon.world.motions import draw_paths
 from dronemon.world.targets import TargetPaths
@@ -31,10 +30,11 @@ class Instance:
 
     @classmethod
     def draw(
-        cls, seed: int, num_targets: int, motion: Motion = "tsp", speed_spread: float = 0.0
+        cls, seed: int, num_targets: int, motion: str = "tsp", speed_spread: float = 0.0
     ) -> Instance:
         """Draw a seed's instance; its first targets do not depend on how many there are.
 
+        motion:       see `dronemon.world.motions`; OptionError where it is a file of no use
         speed_spread: targets are up to this share faster or slower than the others take them to be
         """
         paths = draw_paths(motion, num_targets, named_stream(seed, "targets"))

@@ -8,6 +8,7 @@
     loop        patrols a circle, always the same way round
     herd        all drift together, each to and fro about the common centre
     road        along the streets of a small town, turning anywhere but back
+    FILE        as in a file of tracks, see `dronemon.world.tracks`
 
 A path is drawn for LENGTH_AU of walking; a target that has walked so far walks it back.
 """
@@ -15,13 +16,16 @@ A path is drawn for LENGTH_AU of walking; a target that has walked so far walks 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 
 from dronemon.arena import ARENA
-from dronemon.problem import Motion
+from dronemon.errors import OptionError
+from dronemon.problem import MOTIONS, is_tracks
 from dronemon.types import FloatArray
 from dronemon.world.targets import TargetPaths
+from dronemon.world.tracks import draw_tracks
 
 LENGTH_AU = 40.0
 """As far as targets at a seventh of the agent's speed walk while it flies 280 au."""
@@ -40,8 +44,29 @@ that are there though every junction can be reached without them."""
 _Draw = Callable[[int, np.random.Generator], TargetPaths]
 
 
-def draw_paths(motion: Motion, num_targets: int, rng: np.random.Generator) -> TargetPaths:
-    """Draw the ways of all targets; the first of a larger draw are those of a smaller one."""
+def motion_flaw(motion: str, num_targets: int) -> str | None:
+    """Why a motion cannot be drawn for so many targets; None if it can."""
+    if not is_tracks(motion):
+        named = f"{', '.join(MOTIONS)}, nor a .csv or .gpx file of tracks"
+        return None if motion in MOTIONS else f"{motion!r:.200} is none of {named}"
+    try:
+        draw_tracks(Path(motion), num_targets)
+    except OptionError as exc:
+        return str(exc)
+    return None
+
+
+def draw_paths(motion: str, num_targets: int, rng: np.random.Generator) -> TargetPaths:
+    """Draw the ways of all targets; the first of a larger draw are those of a smaller one.
+
+    motion: one of `MOTIONS`, or a file of tracks, whose first targets are taken
+
+    Raises OptionError, see `motion_flaw`.
+    """
+    if flaw := motion_flaw(motion, num_targets):
+        raise OptionError(flaw)
+    if is_tracks(motion):
+        return draw_tracks(Path(motion), num_targets)
     return _MOTIONS[motion](num_targets, rng)
 
 
@@ -50,14 +75,14 @@ def _waypoints(num_targets: int, rng: np.random.Generator) -> TargetPaths:
     return TargetPaths.along(np.stack([ARENA.sample(count, rng) for _ in range(num_targets)]))
 
 
-def _walk(motion: Motion) -> _Draw:
+def _walk(motion: str) -> _Draw:
     def draw(num_targets: int, rng: np.random.Generator) -> TargetPaths:
         return TargetPaths.along(np.stack([_wander(motion, rng) for _ in range(num_targets)]))
 
     return draw
 
 
-def _wander(motion: Motion, rng: np.random.Generator) -> FloatArray:
+def _wander(motion: str, rng: np.random.Generator) -> FloatArray:
     """A walk that the arena's border throws back. -> (P, 2) au."""
     count, start_au = round(LENGTH_AU / _STEP_AU), ARENA.sample(1, rng)
     turns = rng.normal(0.0, _TURN_RAD[motion], count)
@@ -154,7 +179,7 @@ def _town(rng: np.random.Generator) -> tuple[FloatArray, list[list[int]]]:
     return junctions_au, streets
 
 
-_MOTIONS: Mapping[Motion, _Draw] = {
+_MOTIONS: Mapping[str, _Draw] = {
     "tsp": TargetPaths.random,
     "waypoints": _waypoints,
     "correlated": _walk("correlated"),

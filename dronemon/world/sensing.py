@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from dronemon.arena import Arena
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU, Prior
+from dronemon.sensor import Sensor
 from dronemon.types import BoolArray, FloatArray, Measurement
 
 if TYPE_CHECKING:
@@ -110,4 +112,34 @@ def measure(time_au: float, agent_au: FloatArray, targets_au: FloatArray) -> Mea
         agent_au=agent_au,
         seen=seen,
         target_au=np.where(seen[:, None], targets_au, np.nan),
+    )
+
+
+def misread(
+    truth: Measurement, sensor: Sensor, arena: Arena, rng: np.random.Generator
+) -> Measurement:
+    """What an eye that errs makes of what a perfect one would see: see `Sensor`.
+
+    Of a target that is told at two places one holds. False alarms are of targets that are not
+    seen, anywhere in view.
+    """
+    if sensor.is_perfect:
+        return truth
+    count = len(truth.seen)
+    told_au = np.full((count, 2), np.nan)
+    for target in np.flatnonzero(truth.seen & (rng.random(count) >= sensor.miss)).tolist():
+        taken_for = target
+        if count > 1 and rng.random() < sensor.confusion:
+            taken_for = (target + int(rng.integers(1, count))) % count
+        told_au[taken_for] = truth.target_au[target] + rng.normal(0.0, sensor.position_au, 2)
+    for _ in range(rng.poisson(sensor.false_alarms)):
+        if len(unseen := np.flatnonzero(np.isnan(told_au[:, 0]))):
+            reach, bearing = SENSOR_RADIUS_AU * math.sqrt(rng.random()), rng.uniform(0.0, math.tau)
+            offset_au = reach * np.array([math.cos(bearing), math.sin(bearing)])
+            told_au[rng.choice(unseen)] = truth.agent_au + offset_au
+    return Measurement(
+        time_au=truth.time_au,
+        agent_au=truth.agent_au,
+        seen=~np.isnan(told_au[:, 0]),
+        target_au=arena.clip(told_au),
     )

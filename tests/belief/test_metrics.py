@@ -124,13 +124,15 @@ def episode(num_targets, steps=130, seed=10):
     places = np.abs((rng.random((num_targets + 1, 2)) + walks.cumsum(0)) % 2.0 - 1.0)
     agent, targets = places[:, 0], places[:, 1:]
     observed = np.linalg.norm(targets - agent[:, None], axis=-1) < 0.1
-    return 0.1 * np.arange(steps + 1), agent, targets, observed
+    told = np.where(observed[..., None], targets, np.nan)
+    return 0.1 * np.arange(steps + 1), agent, targets, told
 
 
 @pytest.mark.parametrize("prior", ["full", "number", "none"])
 def test_episode_metrics_equal_plain_code(prior):
-    time, agent, targets, observed = episode(3)
-    got = episode_metrics(time, agent, targets, observed, prior=prior)
+    time, agent, targets, told = episode(3)
+    observed = ~np.isnan(told[..., 0])
+    got = episode_metrics(time, agent, targets, told, prior=prior)
     assert observed[1:].any(axis=0).sum() >= 2, "the case must have targets that are seen"
     kernel = Matern(length_scale=[0.1, 0.1, 3.0], nu=1.5)
     for k in (0, 1, 2, 40, 59, 60, 61, 130):
@@ -158,13 +160,13 @@ def test_episode_metrics_equal_plain_code(prior):
 
 
 def test_episode_metrics_follow_the_targets_order():
-    time, agent, targets, observed = episode(12, steps=70)
+    time, agent, targets, told = episode(12, steps=70)
     order = np.random.default_rng(0).permutation(12)
-    straight = episode_metrics(time, agent, targets, observed)
-    turned = episode_metrics(time, agent, targets[:, order], observed[:, order])
+    straight = episode_metrics(time, agent, targets, told)
+    turned = episode_metrics(time, agent, targets[:, order], told[:, order])
     np.testing.assert_allclose(turned.unc, straight.unc[:, order], rtol=0, atol=1e-10)
     np.testing.assert_allclose(turned.jsd, straight.jsd[:, order], rtol=0, atol=1e-8)
-    alone = episode_metrics(time, agent, targets[:, :1], observed[:, :1])
+    alone = episode_metrics(time, agent, targets[:, :1], told[:, :1])
     np.testing.assert_allclose(alone.unc, straight.unc[:, :1], rtol=0, atol=1e-10)
 
 
@@ -182,3 +184,18 @@ def test_a_target_a_little_outside_is_judged_around_itself():
     points, is_inside = target_area(torch.tensor([1.05, 0.5], dtype=torch.float64))
     assert (points[is_inside] - torch.tensor([1.05, 0.5])).norm(dim=-1).max() < 0.1
     assert points[is_inside][:, 0].max() <= 1.0
+
+
+def test_what_is_told_falsely_is_believed_and_not_counted():
+    time, agent, targets, told = episode(2)
+    told[1:, 0] = np.nan
+    false = told.copy()
+    false[40, 0] = agent[40] + [0.0, 0.05]
+    right, wrong = (episode_metrics(time, agent, targets, at) for at in (told, false))
+    assert not right.observed[1:, 0].any()
+    assert np.linalg.norm(targets[40, 0] - agent[40]) > 0.1, "the alarm must be a false one"
+    np.testing.assert_array_equal(wrong.observed, right.observed)
+    np.testing.assert_array_equal(wrong.jsd[:40], right.jsd[:40])
+    assert wrong.peak_error_au[40, 0] == pytest.approx(
+        np.linalg.norm(targets[40, 0] - false[40, 0]), abs=0.03
+    )

@@ -10,6 +10,7 @@ from dronemon.errors import PlannerError
 from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import Briefing, Snapshot, Waypoint, create_planner
 from dronemon.roadmap import Roadmap
+from dronemon.sensor import Sensor
 from dronemon.types import FloatArray
 from dronemon.world import Instance, TargetPaths
 
@@ -51,7 +52,7 @@ def test_agent_measures_every_tenth_also_round_corners_and_targets_move_meanwhil
         atol=1e-12,
     )
     np.testing.assert_allclose(episode.targets_au[:, 0, 0], 0.4 + 0.01 * np.arange(6))
-    assert episode.observed[:, 0].tolist() == [False, False, False, True, False, False]
+    assert np.flatnonzero(~np.isnan(episode.told_au[:, 0, 0])).tolist() == [3]
     np.testing.assert_allclose(episode.conditions.times_au, 0.1 * np.arange(6))
 
 
@@ -92,7 +93,7 @@ def test_targets_join_in_the_order_of_their_first_sight() -> None:
     assert last.seen.tolist() == [False, True]  # the second to be met is the true target 1
     np.testing.assert_allclose(last.target_au[1], [0.5, 0.45])
     assert route.snapshots[-1].belief.num_targets == 2
-    assert episode.observed.shape == (10, 3)
+    assert episode.told_au.shape == (10, 3, 2)
     unc = episode.metrics().unc
     assert unc.shape == (10, 3)
     assert np.all(unc[:, 0] == 1.0)  # never met
@@ -166,7 +167,7 @@ def test_a_planner_that_writes_into_what_it_is_told_moves_nothing() -> None:
 def test_clairvoyant_planner_meets_targets_it_was_never_told_of() -> None:
     instance = Instance.draw(10_005, 3)
     conditions = Conditions(speed_ratio=0.1, prior="none", horizon_au=6.0)
-    seen = fly_episode(create_planner("clairvoyant"), instance, conditions).observed
+    seen = fly_episode(create_planner("clairvoyant"), instance, conditions).metrics().observed
     assert np.all(seen.sum(axis=0) >= 3)
 
 
@@ -174,7 +175,30 @@ def test_carrying_headings_on_finds_targets_that_the_plain_loop_loses() -> None:
     instance = walkers((0.1, 0.9), (0.55, 0.1))
     conditions = Conditions(speed_ratio=0.12, horizon_au=3.2)
     plain, carried = (
-        fly_episode(create_planner(kind), instance, conditions).observed.sum()
+        fly_episode(create_planner(kind), instance, conditions).metrics().observed.sum()
         for kind in ("tsp", "tsp-heading")
     )
     assert carried > plain
+
+
+def test_an_eye_that_errs_is_in_the_world_and_told_to_the_planner() -> None:
+    sensor = Sensor(miss=0.5, false_alarms=0.2)
+    briefed: list[Sensor] = []
+    planner = create_planner("lawnmower")
+    reset = planner.reset
+
+    def noted(briefing: Briefing, roadmap: Roadmap) -> None:
+        briefed.append(briefing.sensor)
+        reset(briefing, roadmap)
+
+    planner.reset = noted  # type: ignore[method-assign]
+    episode = fly_episode(
+        planner, Instance.draw(10_000, 4), Conditions(speed_ratio=0.1, sensor=sensor)
+    )
+    assert briefed == [sensor]
+    offset_au = episode.targets_au - episode.agent_au[:, None]
+    in_view = np.linalg.norm(offset_au, axis=-1)[1:] < 0.1
+    told = ~np.isnan(episode.told_au[1:, :, 0])
+    assert 0.25 < (in_view & ~told).sum() / in_view.sum() < 0.75
+    assert (told & ~in_view).sum() > 20
+    assert (episode.metrics().observed[1:] == (told & in_view)).all()

@@ -94,11 +94,12 @@ def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Pa
         assert arrays["agent_au"].shape == (21, 2)
         assert arrays["targets_au"].shape == (21, 2, 2)
         offsets = arrays["targets_au"] - arrays["agent_au"][:, None]
+        in_view = np.linalg.norm(offsets, axis=-1) < 0.1
         np.testing.assert_array_equal(
-            arrays["observed"][1:], (np.linalg.norm(offsets, axis=-1) < 0.1)[1:]
+            arrays["told_au"][1:], np.where(in_view[..., None], arrays["targets_au"], np.nan)[1:]
         )
         again = episode_metrics(
-            0.1 * np.arange(21), arrays["agent_au"], arrays["targets_au"], arrays["observed"]
+            0.1 * np.arange(21), arrays["agent_au"], arrays["targets_au"], arrays["told_au"]
         )
         np.testing.assert_allclose(arrays["unc"], again.unc)
         np.testing.assert_allclose(arrays["jsd"], again.jsd)

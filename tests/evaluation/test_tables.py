@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dronemon.belief import Scores
-from dronemon.evaluation.options import FIGURE5, TABLE2, Cell
+from dronemon.evaluation.options import CONDITIONS, FIGURE5, TABLE2, Cell
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result
 from dronemon.evaluation.tables import (
@@ -229,7 +229,10 @@ def test_priors_are_compared_by_thirds_of_the_mission(tmp_path: Path) -> None:
     text = (tmp_path / "table.md").read_text()
     (part,) = (p for p in text.split("\n## ") if p.startswith("What is known at the start"))
     row = "0.610 ± 0.010 | 0.610 ± 0.010 | 0.710 ± 0.010 | 5.00 ± 0.00 | 0.000 ± 0.000 | "
-    assert f"| 6 | 1/20 | 200 | tsp | search | none | {row}0.500 ± 0.000 | 1.000 ± 0.000 |" in part
+    assert (
+        f"| 6 | 1/20 | 200 | tsp | perfect | search | none | {row}0.500 ± 0.000 | 1.000 ± 0.000 |"
+        in part
+    )
     write_tables(results[:2], tmp_path, "one prior", is_as_published=True)
     assert "What is known" not in (tmp_path / "table.md").read_text()
 
@@ -238,3 +241,29 @@ def test_tables_name_every_code_that_took_part(tmp_path: Path) -> None:
     mixed = [result("tsp", seed, 0.5, code=f"0.1.0+{letter}") for seed, letter in enumerate("bab")]
     write_tables(mixed, tmp_path, "dronemon evaluate", is_as_published=True)
     assert "\ndronemon 0.1.0+a and 0.1.0+b; one" in (tmp_path / "table.md").read_text()
+
+
+def test_other_worlds_are_told_as_shares_of_the_way_to_the_bound(tmp_path: Path) -> None:
+    figures = {"lawnmower": (0.8, 0.35), "search": (0.725, 0.2), "clairvoyant-search": (0.7, 0.15)}
+    results = [
+        result(method, seed, unc, jsd=jsd, cell=cell)
+        for cell in CONDITIONS.cells
+        for seed in (0, 1)
+        for method, (unc, jsd) in figures.items()
+    ]
+    write_tables(results, tmp_path, "--conditions", is_as_published=True)
+    text = (tmp_path / "table.md").read_text()
+    (part,) = (p for p in text.split("\n## ") if p.startswith("Other worlds"))
+    rows = [line for line in part.splitlines() if line.endswith("| 75 % / 75 % |")]
+    assert len(rows) == len(CONDITIONS.cells) == 72
+    assert "| loop | miss=0.1+false_alarms=0.05 | none | 4 | 1/10 | 200 | 0.800 / 0.350 |" in part
+    (tmp_path / "one").mkdir()
+    alone = [r for r in results if r.cell == CONDITIONS.cells[0]]
+    write_tables(alone, tmp_path / "one", "", is_as_published=True)
+    assert "Other worlds" not in (tmp_path / "one" / "table.md").read_text()
+
+
+def test_worlds_and_eyes_are_read_again_from_results() -> None:
+    for cell in CONDITIONS.cells:
+        one = result("search", 0, 0.7, cell=cell)
+        assert Result.from_json(one.as_json()) == one

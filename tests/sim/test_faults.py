@@ -321,6 +321,19 @@ def test_some_animals_are_hidden_and_some_are_not_there() -> None:
     assert with_faults(true, {}, rng) == true
 
 
+def test_some_animals_look_like_others_and_some_are_astray() -> None:
+    mission = make_mission()
+    true = MockFlight(mission, World(mission)).scene()
+    rng = random.Random(1)
+    shown = [with_faults(true, {"mistake": 0.2, "misplace": 3.0}, rng) for _ in range(1000)]
+    pairs = [pair for s in shown for pair in zip(s.animals, true.animals, strict=True)]
+    wrong = [a.appearance for a, b in pairs if a.appearance != b.appearance]
+    assert len(wrong) / len(pairs) == pytest.approx(0.2, abs=0.02)
+    assert set(wrong) == {a.appearance for a in true.animals}
+    off_m = [a.position_ned_m[k] - b.position_ned_m[k] for a, b in pairs for k in (0, 1)]
+    assert np.std(off_m) == pytest.approx(3.0, rel=0.05)
+
+
 def test_the_camera_hides_animals_from_its_pictures_alone() -> None:
     mission = make_mission()
     simulation = MockFlight(mission, World(mission))

@@ -1,0 +1,202 @@
+"""How a target may move, compiled: the kinds of motion that particles stand for, and their walk.
+
+A particle is one whole hypothesis: where a target is, and in which of a few ways it moves. Which
+ways fit is learned from the mission's own sightings, see `dronemon.planner.particles`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from dronemon.planner.moving import is_inside
+from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.types import FloatArray
+
+X, Y, HEADING, SPEED, KIND, CURVATURE, RESTING = range(7)
+"""Rows of a particle: place and heading, speed over the agent's, index of its kind of motion, turn
+per length walked in rad/au, and 1 while it stands."""
+NUM_ROWS = 7
+
+TURN_QUANTILES_RAD = np.radians(
+    [0.0, 11.5, 23.0, 34.7, 46.3, 58.2, 71.2, 85.2, 100.5, 118.8, 165.0]
+)
+"""Size of a turn at evenly spaced probabilities 0 to 1, on development paths (10000 to 10059)."""
+_TRIES = 8
+_REGENERATIONS = 1500
+"""Most walks tried anew for one target and measurement; bounds the time of a decision."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """One way of moving.
+
+    turns_per_au:  how often it turns, per length walked
+    wander_rad:    standard deviation of its heading's drift over 1 au walked, which grows as the
+                   root of the length
+    curvature:     least and greatest turn per length walked, rad/au, to either side
+    rests_per_au:  how often it stops per length walked; it rests as long as it walks, in the mean
+    trail_doubt:   chance that a particle which comes near its target's own trail is none of them
+    """
+
+    name: str
+    turns_per_au: float = 0.0
+    wander_rad: float = 0.0
+    curvature: tuple[float, float] = (0.0, 0.0)
+    rests_per_au: float = 0.0
+    trail_doubt: float = 0.0
+
+
+KINDS = (
+    # The paper's tours, on development seeds; who tours seldom comes near its own trail.
+    Kind(name="tour", turns_per_au=8.5, trail_doubt=0.9),
+    Kind(name="legs", turns_per_au=3.0),
+    Kind(name="wander", wander_rad=2.5),
+    Kind(name="jitter", wander_rad=12.0),
+    Kind(name="circle", curvature=(2.5, 20.0), wander_rad=0.3),
+    Kind(name="graze", wander_rad=4.0, rests_per_au=7.0),
+)
+
+
+def table_of(kinds: tuple[Kind, ...]) -> FloatArray:
+    """Kinds as compiled code has them. -> (K, 4) turns_per_au, wander_rad, rests_per_au, doubt."""
+    return np.array([[k.turns_per_au, k.wander_rad, k.rests_per_au, k.trail_doubt] for k in kinds])
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _turned(heading, rng):  # type: ignore[no-untyped-def]
+    """A new heading after a random turn to either side."""
+    quantiles = TURN_QUANTILES_RAD
+    place = rng.random() * (quantiles.shape[0] - 1)
+    low = int(place)
+    size = quantiles[low] + (quantiles[low + 1] - quantiles[low]) * (place - low)
+    return heading + size if rng.random() < 0.5 else heading - size
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _step(walker, duration, kinds, bounds, rng):  # type: ignore[no-untyped-def]
+    """Walk one particle on for a short while inside the arena, in place. walker: (NUM_ROWS,)"""
+    turns_per_au, wander, rests_per_au, _ = kinds[int(walker[KIND])]
+    distance = walker[SPEED] * duration
+    if rests_per_au > 0.0:
+        if rng.random() < 1.0 - math.exp(-rests_per_au * distance):
+            walker[RESTING] = 1.0 - walker[RESTING]
+        if walker[RESTING] > 0.0:
+            return
+    heading = walker[HEADING] + walker[CURVATURE] * distance
+    if wander > 0.0:
+        heading += wander * math.sqrt(distance) * rng.normal()
+    if turns_per_au > 0.0 and rng.random() < 1.0 - math.exp(-turns_per_au * distance):
+        heading = _turned(heading, rng)
+    for _ in range(_TRIES):
+        x = walker[X] + distance * math.cos(heading)
+        y = walker[Y] + distance * math.sin(heading)
+        if is_inside(bounds, x, y):
+            walker[X], walker[Y] = x, y
+            break
+        heading = _turned(heading, rng)
+    walker[HEADING] = heading
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def walk(walkers, duration, kinds, bounds, rng):  # type: ignore[no-untyped-def]
+    """Walk particles on, in place. walkers: (M, NUM_ROWS); duration: au; kinds: as `table_of`."""
+    for j in range(walkers.shape[0]):
+        _step(walkers[j], duration, kinds, bounds, rng)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _doubt(walker, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-def]
+    """Doubt of one particle for being near its target's own trail."""
+    doubt = kinds[int(walker[KIND]), 3]
+    for m in range(old_trail.shape[0] if doubt > 0.0 else 0):
+        away = (walker[X] - old_trail[m, 0]) ** 2 + (walker[Y] - old_trail[m, 1]) ** 2
+        if away < trail_radius**2:
+            return doubt
+    return 0.0
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def doubts(walkers, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-def]
+    """Doubt of each particle for being near its target's own trail. -> (M,)"""
+    out = np.empty(walkers.shape[0])
+    for j in range(walkers.shape[0]):
+        out[j] = _doubt(walkers[j], old_trail, trail_radius, kinds)
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def refuted(walkers, agent, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
+    """Particles that a miss removes: in view, or (perhaps) on the target's own trail. -> (L,).
+
+    miss: chance that the eye misses what is in view
+    """
+    out = np.empty(walkers.shape[0], np.int64)
+    count = 0
+    for j in range(walkers.shape[0]):
+        x, y = walkers[j, X], walkers[j, Y]
+        gone = (x - agent[0]) ** 2 + (y - agent[1]) ** 2 < SENSOR_RADIUS_AU**2
+        if gone and miss > 0.0:
+            gone = rng.random() >= miss
+        if not gone:
+            doubt = _doubt(walkers[j], old_trail, trail_radius, kinds)
+            gone = doubt > 0.0 and rng.random() < doubt
+        if gone:
+            out[count] = j
+            count += 1
+    return out[:count]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _outlives(walker, misses, count, kinds, bounds, miss, rng):  # type: ignore[no-untyped-def]
+    """Walk one particle on, in place, over misses; whether none of the first `count` refutes it."""
+    for m in range(1, misses.shape[0]):
+        _step(walker, misses[m, 0] - misses[m - 1, 0], kinds, bounds, rng)
+        if (
+            m < count
+            and (walker[X] - misses[m, 1]) ** 2 + (walker[Y] - misses[m, 2]) ** 2
+            < SENSOR_RADIUS_AU**2
+            and not (miss > 0.0 and rng.random() < miss)
+        ):
+            return False
+    return True
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def walk_anew(walkers, lost, deck, misses, kinds, bounds, miss, rng):  # type: ignore[no-untyped-def]
+    """Replace particles by walks from the last sighting that no miss since refutes. -> how many.
+
+    lost:   (L,)          int64 their indices
+    deck:   (M, NUM_ROWS) the particles as they were at the last sighting
+    misses: (S + 1, 3)    time, x, y of the sighting and of every miss since
+    miss:   chance that the eye misses what is in view
+    """
+    done = 0
+    walker = np.empty(NUM_ROWS)
+    for _ in range(_REGENERATIONS):
+        if done == lost.shape[0]:
+            break
+        card = int(rng.random() * deck.shape[0])
+        for r in range(NUM_ROWS):
+            walker[r] = deck[card, r]
+        if _outlives(walker, misses, misses.shape[0], kinds, bounds, miss, rng):
+            for r in range(NUM_ROWS):
+                walkers[lost[done], r] = walker[r]
+            done += 1
+    return done
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def outlived(walkers, stops, kinds, bounds, miss, rng):  # type: ignore[no-untyped-def]
+    """Walk particles on, in place, from one sight to the next. -> which no miss refutes, (M,)
+
+    walkers: (M, NUM_ROWS) as they were at the first
+    stops:   (S, 3)        time, x, y of the first sight, of every miss since, and of the second
+    """
+    out = np.empty(walkers.shape[0], np.bool_)
+    for j in range(walkers.shape[0]):
+        out[j] = _outlives(walkers[j], stops, stops.shape[0] - 1, kinds, bounds, miss, rng)
+    return out
