@@ -5,9 +5,10 @@
                                         cover is the area's side
     a .gpx file                         one target per track, as the last
 
-Times are numbers in any unit, or ISO 8601. Columns may be named as Movebank has them. The targets
-walk from the first instant at which all have a fix to the last, then back; how fast is the
-mission's or the evaluation's speed: that is their mean one.
+Times are numbers in any unit, or ISO 8601. Columns may be named as Movebank has them. Of a file of
+more targets than are wanted the first are taken. They walk from the first instant at which all
+have a fix to the last, then back; how fast is the mission's or the evaluation's speed: that is
+their mean one.
 """
 
 from __future__ import annotations
