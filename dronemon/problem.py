@@ -40,6 +40,13 @@ def is_tracks(motion: str) -> bool:
     return motion.lower().endswith((".csv", ".gpx"))
 
 
+def motion_name_flaw(motion: str) -> str | None:
+    """Why there is no motion of this name; None if there is, or if it is that of a file."""
+    if motion in MOTIONS or is_tracks(motion):
+        return None
+    return f"{motion!r:.80} is none of {', '.join(MOTIONS)}, nor a .csv or .gpx file of tracks"
+
+
 FIRST_DEVELOPMENT_SEED = 10_000
 """Seeds from here on are for choosing and tuning; 0 to 99 are for reporting alone."""
 FIRST_TRAINING_SEED = 1_000_000

@@ -18,10 +18,9 @@ from dronemon.problem import (
     LENGTH_SCALE_AU,
     MAX_HISTORY,
     MEASUREMENT_INTERVAL_AU,
-    MOTIONS,
     SENSOR_RADIUS_AU,
     TIME_SCALE_AU,
-    is_tracks,
+    motion_name_flaw,
 )
 from dronemon.sensor import LIMITS
 from dronemon.sensor import Sensor as SensorModel
@@ -290,10 +289,8 @@ class Simulation(Section):
     @field_validator("motion")
     @classmethod
     def _is_motion(cls, name: str) -> str:
-        if name not in MOTIONS and not is_tracks(name):
-            raise ValueError(
-                f"{name!r:.80} is none of {', '.join(MOTIONS)}, nor a .csv or .gpx file of tracks"
-            )
+        if flaw := motion_name_flaw(name):
+            raise ValueError(flaw)
         return name
 
     @field_validator("faults")

@@ -184,11 +184,11 @@ class ParticleBelief:
         if believed:
             for i, target in enumerate(self.targets):
                 target.walkers[:, SPEED] = self.speed.draw(i, len(target.walkers), self._rng)
-        for i in range(len(self.targets)):
-            foreseen = self.targets[i].walkers.copy()
+        for i, target in enumerate(self.targets):
+            foreseen = target.walkers.copy() if i in now else None
             if trust.get(i, 0.0) < 1.0:
                 self._miss(i, measurement.agent_au, sightings)
-            if i in now:
+            if foreseen is not None:
                 self._sight(i, now[i], trust[i], foreseen)
 
     def _trust(self, index: int, sight: Sight, agent_au: FloatArray) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 
 from dronemon.arena import ARENA
 from dronemon.errors import OptionError
-from dronemon.problem import MOTIONS, is_tracks
+from dronemon.problem import is_tracks, motion_name_flaw
 from dronemon.types import FloatArray
 from dronemon.world.targets import TargetPaths
 from dronemon.world.tracks import draw_tracks
@@ -47,8 +47,7 @@ _Draw = Callable[[int, np.random.Generator], TargetPaths]
 def motion_flaw(motion: str, num_targets: int) -> str | None:
     """Why a motion cannot be drawn for so many targets; None if it can."""
     if not is_tracks(motion):
-        named = f"{', '.join(MOTIONS)}, nor a .csv or .gpx file of tracks"
-        return None if motion in MOTIONS else f"{motion!r:.200} is none of {named}"
+        return motion_name_flaw(motion)
     try:
         draw_tracks(Path(motion), num_targets)
     except OptionError as exc:

@@ -56,6 +56,7 @@ class Fix(NamedTuple):
     place: tuple[float, float]
 
 
+@cache
 def draw_tracks(path: Path, num_targets: int) -> TargetPaths:
     """The first targets of a file, laid out and timed without regard to the others.
 
