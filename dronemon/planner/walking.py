@@ -1,7 +1,7 @@
 """How a target may move, compiled: the kinds of motion that particles stand for, and their walk.
 
 A particle is one whole hypothesis: where a target is, and in which of a few ways it moves. Which
-ways fit is learned from the mission's own sightings, see `dronemon.planner.particles`.
+ways fit is learned from the mission's own sightings, see `dronemon.planner.kinds`.
 """
 
 from __future__ import annotations
