@@ -250,7 +250,7 @@ def in_precision(precision: Precision, device: torch.device) -> torch.autocast:
 
 def _has_bfloat16(device: torch.device) -> bool:
     if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     features = torch.cpu.get_capabilities()
     return any(bool(features.get(name)) for name in ("amx_bf16", "avx512_bf16", "bf16"))
 
