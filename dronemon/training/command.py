@@ -28,12 +28,19 @@ RecipeOption = Annotated[
     str,
     typer.Option(
         help="A recipe file, or a shipped one: paper, expert, stamp, table2, table2-no-predictions,"
-        " table2-lstm. Several, separated by commas, are trained one after another, each for these "
-        "minutes, in folders of their names."
+        " table2-lstm. Several, separated by commas, are trained one after another, each with this "
+        "budget, in folders of their names."
     ),
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the run; a run found there goes on.")]
-MinutesOption = Annotated[float, typer.Option(min=0.1, help="Time budget, over all resumptions.")]
+MinutesOption = Annotated[
+    float | None,
+    typer.Option(min=0.1, help="Budget, over all resumptions.", show_default="60"),
+]
+IterationsOption = Annotated[
+    int | None,
+    typer.Option(min=1, help="Budget in iterations instead: as large on a busy machine."),
+]
 SeedOption = Annotated[int, typer.Option(min=0, help="Root of all randomness.")]
 StartOption = Annotated[
     str | None, typer.Option(help="Checkpoint (path or name) whose weights to begin with.")
@@ -54,7 +61,8 @@ ValidationEpisodesOption = Annotated[
 def train_command(
     recipe: RecipeOption = "expert",
     out: OutOption = Path("runs/train"),
-    minutes: MinutesOption = 60.0,
+    minutes: MinutesOption = None,
+    iterations: IterationsOption = None,
     seed: SeedOption = 0,
     start: StartOption = None,
     device: DeviceOption = "auto",
@@ -67,12 +75,15 @@ def train_command(
     Several GPUs: torchrun --nproc-per-node 4 -m dronemon.training --recipe paper ...
     """
     names = _names(recipe)
+    if minutes is not None and iterations is not None:
+        raise OptionError("--minutes and --iterations are two budgets; give one of them")
     plans = [
         Plan(
             out=out if len(names) == 1 else out / Path(name).stem,
             recipe=load_recipe(name),
             start=start,
-            minutes=minutes,
+            minutes=minutes if minutes is not None else 60.0,
+            iterations=iterations,
             seed=seed,
             device=device,
             num_workers=workers if workers is not None else num_cores(),
@@ -120,7 +131,7 @@ def _keep_freed_memory() -> None:
 
 @contextmanager
 def _display(console: LenientConsole) -> Iterator[Listener]:
-    """A progress bar over the time budget, and a line for each iteration."""
+    """A progress bar over the budget, and a line for each iteration."""
     percent = TextColumn("{task.percentage:3.0f} %")
     columns = TextColumn("training"), BarColumn(), percent, TimeRemainingColumn()
     with Progress(*columns, console=console) as bar:

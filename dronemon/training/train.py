@@ -71,7 +71,7 @@ METRICS: dict[str, str] = {
 STATE_FORMAT = "dronemon training 3"
 SPENT_FILE, NOTE_INTERVAL_S = "spent_s", 2.0
 Listener = Callable[[float, Mapping[str, float]], None]
-"""Hears of each iteration: the share of the time budget that is spent, and its metrics."""
+"""Hears of each iteration: the share of the budget that is spent, and its metrics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +79,8 @@ class Plan:
     """What to train, for how long, and where.
 
     start:                path or name of a checkpoint whose weights to begin with
+    minutes:              budget, over all resumptions
+    iterations:           budget instead of it, which a busy machine does not make smaller
     num_workers:          processes that give lessons, over all that train
     validation_minutes:   between measurements; the last one is at the end
     validation_episodes:  how thoroughly to measure
@@ -89,6 +91,7 @@ class Plan:
     recipe: Recipe = field(default_factory=Recipe)
     start: str | None = None
     minutes: float = 60.0
+    iterations: int | None = None
     seed: int = 0
     device: str = "auto"
     num_workers: int = field(default_factory=num_cores)
@@ -148,7 +151,9 @@ class _Training:
 
     @property
     def progress(self) -> float:
-        """Share of the time budget that is spent."""
+        """Share of the budget that is spent."""
+        if self._plan.iterations is not None:
+            return self._run.iteration / self._plan.iterations
         return self._run.elapsed_s / (60.0 * self._plan.minutes)
 
     def iterate(self) -> dict[str, float]:
@@ -283,11 +288,11 @@ def _noting(folder: Path, offset_s: float) -> Iterator[None]:
 def _spent_s(plan: Plan) -> float:
     """How long a run has trained, the part of an iteration that was killed counted.
 
-    Never all of the budget: the last iteration ends with a validation.
+    Never all of a budget of minutes: the last iteration ends with a validation.
     """
     path = plan.out / SPENT_FILE
     noted_s = float(path.read_text(encoding="utf-8")) if path.exists() else 0.0
-    return min(noted_s, 60.0 * plan.minutes - 1.0)
+    return noted_s if plan.iterations is not None else min(noted_s, 60.0 * plan.minutes - 1.0)
 
 
 def _claim(folder: Path) -> None:

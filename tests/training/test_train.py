@@ -19,7 +19,7 @@ import typer
 from simulated_vehicle import StartProgram
 from typer.testing import CliRunner
 
-from dronemon.errors import CheckpointMismatch
+from dronemon.errors import CheckpointMismatch, OptionError
 from dronemon.policy import NetworkConfig, load_checkpoint, read_tensors
 from dronemon.training.command import train_command
 from dronemon.training.imitation import ExpertConfig
@@ -230,6 +230,26 @@ def test_time_spent_in_an_iteration_that_was_killed_counts(
     rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     assert rows[0]["minutes"] < 60.0
     assert rows[1]["minutes"] > 5000.0 / 60.0
+
+
+def test_a_budget_of_iterations_does_not_ask_the_clock(
+    first_iteration: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(first_iteration, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "spent_s").write_text("5000.0\n")
+    shares: list[float] = []
+    plan = make_plan(tmp_path, minutes=0.1, iterations=3, validation_minutes=1e6)
+    for _ in range(2):  # the second time nothing is left to do
+        train(plan, command="test", listen=lambda share, _: shares.append(share))
+    assert shares == pytest.approx([2 / 3, 1.0])
+    rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    assert ["val_unc" in row for row in rows] == [True, False, True]
+    assert rows[-1]["minutes"] > 5000.0 / 60.0
+
+
+def test_two_budgets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="--minutes and --iterations"):
+        train_command(out=tmp_path, minutes=1.0, iterations=1)
 
 
 @pytest.mark.slow
