@@ -43,7 +43,7 @@ from dronemon.terminal import FlightDisplay, console, print_error, print_warning
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.vision.detector import Detector
-from dronemon.vision.drawn import DrawnDetector
+from dronemon.vision.registry import make_detector
 from dronemon.viz import FlightView
 
 _WORKER_THREADS = 16
@@ -407,9 +407,3 @@ def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameS
         return SimulatedCamera(sim.camera_url, timeout_s=camera.timeout_s)
     source = int(camera.url) if camera.url.isdigit() else camera.url
     return VideoCamera(source, timeout_s=camera.timeout_s, latency_s=camera.latency_s, clock=link)
-
-
-def make_detector(mission: Mission) -> Detector:
-    """Finds the mission's targets in its camera's pictures."""
-    appearances = [target.appearance for target in mission.targets]
-    return DrawnDetector(appearances, mission.camera.model, mission.detector.min_score)

@@ -345,7 +345,8 @@ def planners() -> None:
 def schema() -> None:
     """Print the JSON schema of mission files, for editors."""
     from dronemon.mission import Mission
-    from dronemon.planner.registry import CLASS_PATTERN, describe_planners, is_bound
+    from dronemon.outside import CLASS_PATTERN
+    from dronemon.planner.registry import describe_planners, is_bound
 
     document = Mission.model_json_schema()
     names = [name for name in describe_planners() if not is_bound(name)]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 
 from dronemon.card import find_checkpoint, read_card
-from dronemon.errors import MissionFileError, OptionError, PolicyError
+from dronemon.errors import CameraError, MissionFileError, OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
@@ -33,6 +34,7 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
         yield from _simulator_problems(mission, follow)
         yield from _sight_problems(mission)
         yield from _planner_problems(mission)
+        yield from _detector_problems(mission)
 
     told = []
     try:
@@ -86,6 +88,14 @@ def px_per_m(mission: Mission) -> float:
     return mission.camera.model.focal_px / mission.flight.altitude_m
 
 
+def needed_px_per_m(mission: Mission) -> float:
+    """The least that the detector needs of it; 0 where nobody knows."""
+    of = mission.detector
+    if of.needed_px_per_m is not None:
+        return of.needed_px_per_m
+    return NEEDED_PX_PER_M if of.kind == "drawn" else 0.0
+
+
 def flight_facts(m: Mission) -> dict[str, str]:
     """What would be flown, in words."""
     # Mean distance to one of the k nearest of V random places.
@@ -96,7 +106,7 @@ def flight_facts(m: Mission) -> dict[str, str]:
         "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
         f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m, banked "
         f"{math.degrees(m.flight.bank_rad):.0f} degrees",
-        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs {NEEDED_PX_PER_M:g}",
+        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs {needed_px_per_m(m):g}",
         "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
         f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
         "pictures": f"{m.num_pictures}, one every {MEASUREMENT_INTERVAL_AU * m.area.side_m:g} m",
@@ -149,7 +159,8 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
 
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the camera sees the whole footprint from the patrol's height, and animals in it."""
-    highest_m = mission.camera.model.focal_px / NEEDED_PX_PER_M
+    needed_px = needed_px_per_m(mission)
+    highest_m = mission.camera.model.focal_px / needed_px if needed_px else math.inf
     side_m, altitude_m = mission.area.side_m, mission.flight.altitude_m
     needed_m = mission.needed_altitude_m
     bank = f"while it banks {math.degrees(mission.flight.bank_rad):.1f} degrees to accelerate"
@@ -164,7 +175,7 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             ("area", "side_m"),
             f"{side_m:g} m is too large for the camera: its footprint of "
             f"{mission.sensor_radius_m:g} m takes {needed_m:.1f} m of height, but "
-            f"above {highest_m:.0f} m a metre is less than the {NEEDED_PX_PER_M:g} pixels that "
+            f"above {highest_m:.0f} m a metre is less than the {needed_px:g} pixels that "
             f"the detector needs; make it {side_m * highest_m / needed_m:.0f} m "
             f"or less, lower {mission.flight.what_banks}, or use a camera with more pixels",
         )
@@ -180,10 +191,25 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
         yield (
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too high: a metre on the ground is {px_per_m(mission):.1f} "
-            f"pixels of this camera, and the detector needs {NEEDED_PX_PER_M:g} to know an "
-            f"animal; fly at {needed_m:.1f} to {highest_m:.0f} m, or use a "
+            f"pixels of this camera, and the detector needs {needed_px:g} to know a "
+            f"target; fly at {needed_m:.1f} to {highest_m:.0f} m, or use a "
             "camera with more pixels",
         )
+
+
+def _detector_problems(mission: Mission) -> Iterator[Problem]:
+    """Whether the detector can be made; the simulator's, which is slow to import, always can."""
+    of = mission.detector
+    if of.kind == "drawn" or (of.kind == "onnx" and not Path(of.file or "").is_file()):
+        return
+    from dronemon.vision.registry import make_detector
+
+    try:
+        make_detector(mission)
+    except OptionError as exc:
+        yield ("detector", "kind"), str(exc)
+    except CameraError as exc:
+        yield ("detector", "file" if of.kind == "onnx" else "family"), str(exc)
 
 
 def _planner_problems(mission: Mission) -> Iterator[Problem]:

@@ -21,9 +21,11 @@ IntArray: TypeAlias = "NDArray[np.int64]"
 ImageArray: TypeAlias = "NDArray[np.uint8]"
 Vector3 = tuple[float, float, float]
 GRAVITY_M_S2 = 9.80665
-Appearance = Literal["cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra"]
+APPEARANCES = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
 """Animals that the simulator draws and the drawn detector tells apart."""
-APPEARANCES: tuple[str, ...] = get_args(Appearance)
+Layout = Literal["yolov5", "yolov8", "yolov10", "rtdetr", "detr"]
+"""How a network's outputs hold boxes: see `dronemon.vision.layouts`."""
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,6 +27,7 @@ LAYERS = {
     "waiting": 0,
     "terminal": 0,
     "palette": 0,
+    "outside": 0,
     "sightings": 1,
     "belief": 1,
     "roadmap": 1,
@@ -75,6 +76,7 @@ ORDER_IN_LAYER_0 = (
     "waiting",
     "terminal",
     "palette",
+    "outside",
 )
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
 PLACES = {

@@ -24,10 +24,17 @@ from dronemon.problem import (
 )
 from dronemon.sensor import LIMITS
 from dronemon.sensor import Sensor as SensorModel
-from dronemon.types import APPEARANCES, GRAVITY_M_S2, Appearance, CameraModel
+from dronemon.types import APPEARANCES, GRAVITY_M_S2, CameraModel, Layout
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
+Pixel = Annotated[int, Field(ge=32, le=8192)]
+Hue = Annotated[float, Field(ge=0.0, le=360.0)]
+Size = Annotated[float, Field(gt=0.0, le=1000.0)]
+Pixels = Annotated[tuple[Pixel, Pixel], Field(strict=False)]
+Hues = Annotated[tuple[Hue, Hue], Field(strict=False)]
+Sizes = Annotated[tuple[Size, Size], Field(strict=False)]
+MAX_TARGETS = 100
 _TURN_S = 4.0
 
 
@@ -185,10 +192,38 @@ class Camera(Section):
 
 
 class Detector(Section):
-    """How animals are found in pictures."""
+    """How targets are found in pictures; most keys are for one kind."""
 
+    kind: str = "drawn"
+    """drawn (the simulator's animals), onnx, markers, blobs, or package.module:Class."""
     min_score: Fraction = 0.5
     """Detections less certain than this are dropped."""
+    needed_px_per_m: float | None = Field(None, gt=0.0, le=1000.0)
+    """Least size of a metre on the picture; drawn has its own, the others none if absent."""
+    file: str | None = None
+    """onnx: the network's file, its path from this one."""
+    classes: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """onnx: all that the network was trained for, in order; none where the file tells."""
+    layout: Layout | None = None
+    """onnx: of the network's output; told from its shape if absent."""
+    input_px: Pixels | None = None
+    """onnx: [width, height] of its input, where the file leaves it open."""
+    tile_px: int | None = Field(None, ge=64, le=8192)
+    """onnx: side of the parts in which it is shown a picture; all at once if absent."""
+    most_shared: Fraction = 0.5
+    """onnx: share of area in common from which two boxes are of one target."""
+    family: str = "apriltag_36h11"
+    """markers: their set, by OpenCV's name, such as 4x4_50 or apriltag_16h5."""
+    side_m: float | None = Field(None, gt=0.0, le=100.0)
+    """markers: side of the black square, a check on each find; none if absent."""
+    hue_deg: Hues | None = None
+    """blobs: [from, to] round the circle of hues: red 0, green 120, blue 240; any if absent."""
+    saturation: Fraction = 0.0
+    """blobs: least saturation of the colour."""
+    brightness: Fraction = 0.0
+    """blobs: least brightness; a thermal camera's warmth."""
+    size_m: Sizes = (0.2, 5.0)
+    """blobs: [least, greatest] root of the area on the ground."""
 
 
 class Sensor(Section):
@@ -210,13 +245,16 @@ class Sensor(Section):
 
 
 class Target(Section):
-    """One animal to watch."""
+    """One target to watch."""
 
     name: str = Field(min_length=1, max_length=40)
     """What records and tables call it."""
-    appearance: Appearance = Field(
-        description="What it looks like, one target at most as each of "
-        f"{', '.join(APPEARANCES)}: the detector knows it by that."
+    appearance: str = Field(
+        min_length=1,
+        max_length=80,
+        description="What the detector knows it by, one target at most as each: "
+        f"{', '.join(APPEARANCES)} for the simulator's animals, else a class of the network, the "
+        "number of a marker, or any word for a blob.",
     )
     prior_au: Place | Literal["simulated"] | None = Field(
         None,
@@ -328,8 +366,8 @@ class Mission(Section):
     camera: Camera = Camera()
     detector: Detector = Detector()
     sensor: Sensor = Sensor()
-    targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=len(APPEARANCES))
-    """The animals to watch, each with its own name and appearance."""
+    targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=MAX_TARGETS)
+    """The targets to watch, each with its own name and appearance."""
     belief: Belief = Belief()
     roadmap: Roadmap = Roadmap()
     planner: Planner = Planner()

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import difflib
-import importlib
 import inspect
-import re
-import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
 from dronemon.errors import OptionError
+from dronemon.outside import find_class
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.planner.planner import Planner
 from dronemon.planner.tsp import ClairvoyantTspLoop, TspLoop, carried_on, last_seen, predicted
 
 ENTRY_POINTS = "dronemon.planners"
 """Group of entry points by which other packages bring planners."""
-CLASS_PATTERN = r"^([A-Za-z_][\w.]*):([A-Za-z_]\w*)$"
-"""What names a planner's class: package.module:Class."""
+_ROLE = "planner"
 
 
 def _load(path: str) -> Any:
@@ -107,7 +103,7 @@ def describe_planners() -> dict[str, str]:
     told = dict(_ABOUT)
     for point in entry_points(group=ENTRY_POINTS):
         try:
-            about = (inspect.getdoc(_find_class(point.value)) or "").split("\n")[0]
+            about = (inspect.getdoc(find_class(point.value, _ROLE)) or "").split("\n")[0]
         except OptionError as exc:
             about = f"cannot be loaded: {exc}"
         told.setdefault(point.name, about or point.value)
@@ -116,9 +112,9 @@ def describe_planners() -> dict[str, str]:
 
 def _make_outside(path: str) -> Planner:
     """The planner of a class outside this package. Raises OptionError."""
-    make = _find_class(path)
+    make = find_class(path, _ROLE)
     try:
-        planner = make()
+        planner: Planner = make()
         given = {m: getattr(planner, m, None) for m in ("name", "reset", "next_waypoint")}
     except (Exception, SystemExit) as exc:  # a class of others may fail in any way
         raise OptionError(
@@ -131,28 +127,3 @@ def _make_outside(path: str) -> Planner:
             "docs/your-own-planner.md shows what a planner gives"
         )
     return planner
-
-
-def _find_class(path: str) -> Callable[[], Planner]:
-    """What package.module:Class names, also in the folder that we run in. Raises OptionError."""
-    match = re.match(CLASS_PATTERN, path)
-    if match is None:
-        raise OptionError(f"planner {path!r} is not of the form package.module:Class")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))
-    try:
-        module = importlib.import_module(match[1])
-    except (Exception, SystemExit) as exc:  # a module of others may fail in any way
-        raise OptionError(
-            f"planner {path!r}: module {match[1]} cannot be imported: {exc!r}; run where it lies, "
-            "or install it"
-        ) from exc
-    found: Callable[[], Planner] | None = getattr(module, match[2], None)
-    if not callable(found):
-        own = [v for v in vars(module).values() if getattr(v, "__module__", "") == match[1]]
-        classes = [v.__name__ for v in own if isinstance(v, type)]
-        raise OptionError(
-            f"planner {path!r}: module {match[1]} has no class {match[2]}; "
-            f"its classes are: {', '.join(classes) or 'none'}"
-        )
-    return found

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from dronemon.types import Detection, ImageArray, Pose
+from dronemon.errors import CameraError
+from dronemon.types import CameraModel, Detection, ImageArray, Pose
 
 NEEDED_PX_PER_M = 5.5
 """Size on the picture of a metre on the ground below which too many animals are missed or mistaken.
@@ -27,3 +28,13 @@ class Detector(Protocol):
         -> any number of each appearance, in any order, with scores from 0 to 1
         Raises CameraError if the picture is not of the size that was agreed on.
         """
+
+
+def check_size(image: ImageArray, camera: CameraModel) -> None:
+    """See whether a picture is the camera's. Raises CameraError if not."""
+    expected = (camera.height_px, camera.width_px, 3)
+    if image.shape != expected:
+        raise CameraError(
+            f"a picture of shape {image.shape} came, {expected} was expected; "
+            "does the mission's camera section describe this camera?"
+        )

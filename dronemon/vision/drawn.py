@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from dronemon.errors import CameraError
 from dronemon.frames import ground_to_pixel, pixel_to_ground
 from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
+from dronemon.vision.detector import check_size
 from dronemon.vision.prototypes import (
     COAT_COLOURS,
     COAT_SHADES,
@@ -91,12 +91,7 @@ class DrawnDetector:
 
     def candidates(self, image: ImageArray, pose: Pose, ground_down_m: float) -> list[Candidate]:
         """Whatever may be an animal, not named yet; for `detect` and to measure new prototypes."""
-        expected = (self._camera.height_px, self._camera.width_px, 3)
-        if image.shape != expected:
-            raise CameraError(
-                f"a picture of shape {image.shape} came, {expected} was expected; "
-                "does the mission's camera section describe this camera?"
-            )
+        check_size(image, self._camera)
         height_m = ground_down_m - pose.position_ned_m[2]
         if height_m < _MIN_HEIGHT_M:
             return []

@@ -15,7 +15,6 @@ import pytest
 from pymavlink import mavutil
 from simulated_vehicle import StartMockVehicle, free_udp_port
 
-from dronemon.assembly import make_detector
 from dronemon.camera import SimulatedCamera
 from dronemon.errors import CameraError, ControlTaken, LinkLost, RecordError
 from dronemon.events import Audience, Event, Measured, Noted
@@ -24,6 +23,7 @@ from dronemon.planner.lawnmower import Lawnmower
 from dronemon.recorder import RunRecorder
 from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, rehearse
 from dronemon.vehicle.mavsdk_link import MavsdkLink
+from dronemon.vision.registry import make_detector
 from dronemon.viz import FlightView
 
 pytestmark = pytest.mark.slow

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dronemon.assembly import make_detector
 from dronemon.errors import PlannerError
 from dronemon.mission import Mission, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.roadmap import Roadmap
 from dronemon.runner import Interrupts, rehearse
 from dronemon.runner.interrupts import Interrupted
+from dronemon.vision.registry import make_detector
 
 MISSION = Path(__file__).parents[2] / "missions" / "animals.yaml"
 

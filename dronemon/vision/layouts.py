@@ -1,0 +1,95 @@
+"""What networks put out: boxes and scores, in the layouts of the YOLO and DETR families.
+
+A layout is told from the shapes where they leave no doubt. n boxes, C classes:
+
+    yolov5   (1, n, 5 + C)             also v6, v7: centre, size, chance of a thing, of each class
+    yolov8   (1, 4 + C, n)             also v9, v11: centre, size, chance of each class
+    yolov10  (1, n, 6)                 also any file that chooses among boxes by itself: corners,
+                                       score, class
+    rtdetr   (1, n, 4 + C)             centre and size as shares of the input, chance of each class
+    detr     (1, n, K) and (1, n, 4)   logits of K > C classes, the last of which is "none", or of
+                                       K = C by themselves; centre and size as shares
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, softmax
+
+from dronemon.errors import CameraError
+from dronemon.types import LAYOUTS, FloatArray, Layout
+from dronemon.vision.boxes import Boxes
+
+_FEWEST = 10
+"""Boxes that every network puts out, at least."""
+
+
+def layout_of(shapes: Sequence[tuple[int, ...]], num_classes: int) -> Layout:
+    """The layout of outputs of these shapes. Raises CameraError if none fits, or several do."""
+    fitting = [layout for layout in LAYOUTS if _fits(layout, shapes, num_classes)]
+    if len(fitting) == 1:
+        return fitting[0]
+    told = " and ".join(str(shape) for shape in shapes)
+    if fitting:
+        raise CameraError(
+            f"the network's output {told} for {num_classes} classes may be {' or '.join(fitting)}; "
+            "say which as detector.layout"
+        )
+    raise CameraError(
+        f"the network's output {told} for {num_classes} classes is none of {', '.join(LAYOUTS)}; "
+        "are detector.classes all classes that it was trained for, in their order?"
+    )
+
+
+def _fits(layout: Layout, shapes: Sequence[tuple[int, ...]], num_classes: int) -> bool:
+    if any(len(shape) != 3 or shape[0] != 1 for shape in shapes):
+        return False
+    if layout == "detr":
+        last = [shape[2] for shape in shapes]
+        return len(shapes) == 2 and 4 in last and max(last[0], last[1]) >= num_classes
+    if len(shapes) != 1:
+        return False
+    _, rows, columns = shapes[0]
+    if layout == "yolov8":
+        return rows == 4 + num_classes and columns >= _FEWEST
+    width = {"yolov5": 5 + num_classes, "yolov10": 6, "rtdetr": 4 + num_classes}[layout]
+    return columns == width and rows >= _FEWEST
+
+
+def boxes_of(
+    layout: Layout,
+    outputs: Sequence[NDArray[np.floating[Any]]],
+    num_classes: int,
+    size_px: tuple[int, int],
+) -> Boxes:
+    """The boxes in a network's outputs, in pixels of its input.
+
+    outputs: as the layout has them; size_px: width and height of the input
+    """
+    rows = np.asarray(outputs[0][0], dtype=np.float64)
+    shares = np.array([*size_px, *size_px])
+    match layout:
+        case "yolov5":
+            return _likeliest(rows[:, :4], rows[:, 4:5] * rows[:, 5:])
+        case "yolov8":
+            return _likeliest(rows[:4].T, rows[4:].T)
+        case "yolov10":
+            return Boxes(rows[:, :4], rows[:, 4], rows[:, 5].round().astype(np.int64))
+        case "rtdetr":
+            return _likeliest(shares * rows[:, :4], rows[:, 4:])
+        case "detr":
+            logits, places = sorted((of[0] for of in outputs), key=lambda of: of.shape[1] == 4)
+            is_none_last = logits.shape[1] > num_classes
+            chances = softmax(logits, axis=1)[:, :-1] if is_none_last else expit(logits)
+            return _likeliest(shares * places, np.asarray(chances, np.float64))
+
+
+def _likeliest(places_px: FloatArray, chances: FloatArray) -> Boxes:
+    """Each box as what it is most likely of. places_px: (n, 4) centre, size; chances: (n, C)"""
+    half = 0.5 * places_px[:, 2:]
+    corners = np.concatenate([places_px[:, :2] - half, places_px[:, :2] + half], axis=1)
+    return Boxes(corners, chances.max(axis=1), chances.argmax(axis=1).astype(np.int64))

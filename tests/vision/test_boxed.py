@@ -1,0 +1,156 @@
+"""Networks from ONNX files find what is in a picture, however they are shown it and say so."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from squares import SIDE_PX, write_squares
+
+from dronemon.errors import CameraError
+from dronemon.types import LAYOUTS, CameraModel, ImageArray, Layout, Pose
+from dronemon.vision.boxed import BoxDetector, BoxSettings
+
+CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
+LEVEL = Pose(
+    time_s=0.0,
+    position_ned_m=(0.0, 0.0, -30.0),
+    velocity_ned_m_s=(0.0, 0.0, 0.0),
+    attitude_rad=(0.0, 0.0, 0.0),
+)
+TOLD = BoxSettings(classes=("red", "blue"), input_px=(320, 320), most_shared=0.3)
+BGR = {"red": (20, 20, 240), "blue": (240, 20, 20)}
+
+
+def picture(
+    *squares: tuple[str, int, int], side_px: int, camera: CameraModel = CAMERA
+) -> ImageArray:
+    """Grey, with squares: colour, and u, v of the centre."""
+    image = np.full((camera.height_px, camera.width_px, 3), 90, np.uint8)
+    half = side_px // 2
+    for colour, u, v in squares:
+        image[v - half : v + half, u - half : u + half] = BGR[colour]
+    return image
+
+
+def found(detector: BoxDetector, image: ImageArray) -> list[tuple[str, float, float]]:
+    detections = detector.detect(image, LEVEL, 0.0)
+    return sorted((d.appearance, *d.pixel_px) for d in detections)
+
+
+@pytest.fixture
+def without_onnxruntime(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_finds_squares_where_they_are(layout: Layout, tmp_path: Path) -> None:
+    path = write_squares(tmp_path / "eyes.onnx", layout)
+    settings = BoxSettings(layout=layout, most_shared=0.3)
+    detector = BoxDetector(path, settings, ["red", "blue"], CAMERA)
+    # Half as large in the input, 40 rows of grey above it.
+    image = picture(("red", 120, 104), ("blue", 600, 440), side_px=2 * SIDE_PX)
+    (blue, *blue_px), (red, *red_px) = found(detector, image)
+    assert (blue, red) == ("blue", "red")
+    np.testing.assert_allclose([blue_px, red_px], [(600.0, 440.0), (120.0, 104.0)], atol=0.01)
+
+
+@pytest.mark.usefixtures("without_onnxruntime")
+def test_opencv_reads_what_onnxruntime_would(tmp_path: Path) -> None:
+    path = write_squares(tmp_path / "eyes.onnx")
+    detector = BoxDetector(path, TOLD, ["red"], CAMERA)
+    image = picture(("red", 120, 104), ("blue", 600, 440), side_px=2 * SIDE_PX)
+    assert found(detector, image) == [("red", 120.0, 104.0)]
+
+
+def test_small_things_in_large_pictures_are_found_in_tiles(tmp_path: Path) -> None:
+    camera = CameraModel(width_px=1600, height_px=1200, horizontal_fov_rad=1.5)
+    path = write_squares(tmp_path / "eyes.onnx")
+    # The second lies across the edges of tiles that begin every 256 pixels.
+    image = picture(("red", 60, 52), ("red", 268, 268), side_px=SIDE_PX, camera=camera)
+    whole, tiled = (
+        BoxDetector(path, BoxSettings(most_shared=0.2, tile_px=side), ["red"], camera)
+        for side in (None, 320)
+    )
+    assert found(whole, image) == []
+    places = [place for _, *place in found(tiled, image)]
+    np.testing.assert_allclose(places, [[60.0, 52.0], [268.0, 268.0]], atol=4.0)
+
+
+def test_a_thermal_network_is_shown_grey(tmp_path: Path) -> None:
+    path = write_squares(tmp_path / "eyes.onnx", is_grey=True, names=["warm", "cold"])
+    detector = BoxDetector(path, BoxSettings(min_score=0.8, most_shared=0.3), ["warm"], CAMERA)
+    image = picture(side_px=0)
+    image[80:128, 96:144] = 255
+    assert found(detector, image) == [("warm", 120.0, 104.0)]
+
+
+def test_only_sure_finds_of_watched_classes_count(tmp_path: Path) -> None:
+    path = write_squares(tmp_path / "eyes.onnx")
+    detector = BoxDetector(path, BoxSettings(most_shared=0.3), ["red"], CAMERA)
+    image = picture(("blue", 600, 440), side_px=2 * SIDE_PX)
+    image[80:128, 96:144] = (60, 60, 160)  # reddish: 0.39
+    assert found(detector, image) == []
+    unsure = BoxDetector(path, BoxSettings(min_score=0.35, most_shared=0.3), ["red"], CAMERA)
+    assert found(unsure, image) == [("red", 120.0, 104.0)]
+
+
+WRONG = {
+    "has no class 'rde'; did you mean 'red'": (BoxSettings(), ["rde"]),
+    "its input is 320 x 320 pixels, detector.input_px says 640 x 640": (
+        BoxSettings(input_px=(640, 640)),
+        ["red"],
+    ),
+    "is none of yolov5.*detector.classes": (
+        BoxSettings(classes=("red", "blue", "green")),
+        ["red"],
+    ),
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_what_does_not_fit_the_file_is_told_at_once(message: str, tmp_path: Path) -> None:
+    settings, watched = WRONG[message]
+    path = write_squares(tmp_path / "eyes.onnx")
+    with pytest.raises(CameraError, match=rf"eyes\.onnx.*{message}|{message}"):
+        BoxDetector(path, settings, watched, CAMERA)
+
+
+@pytest.mark.parametrize("has_onnxruntime", [True, False])
+@pytest.mark.parametrize("flaw", ["damaged", "cut", "none"])
+def test_a_file_that_is_none_is_told(
+    flaw: str, has_onnxruntime: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not has_onnxruntime:
+        monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    path = write_squares(tmp_path / "eyes.onnx")
+    whole = path.read_bytes()
+    match flaw:
+        case "damaged":
+            path.write_bytes(b"not a network at all\n" * 40)
+        case "cut":
+            path.write_bytes(whole[: len(whole) // 2])
+        case "none":
+            path.unlink()
+    with pytest.raises(CameraError, match=r"eyes\.onnx: (no ONNX file|No such file)"):
+        BoxDetector(path, TOLD, ["red"], CAMERA)
+
+
+@pytest.mark.usefixtures("without_onnxruntime")
+def test_without_onnxruntime_the_mission_must_say_what_the_file_does(tmp_path: Path) -> None:
+    path = write_squares(tmp_path / "eyes.onnx")
+    with pytest.raises(CameraError, match=r"detector.input_px.*dronemon\[detector\]"):
+        BoxDetector(path, BoxSettings(classes=("red", "blue")), ["red"], CAMERA)
+    with pytest.raises(CameraError, match=r"detector.classes.*dronemon\[detector\]"):
+        BoxDetector(path, BoxSettings(input_px=(320, 320)), ["red"], CAMERA)
+    with pytest.raises(CameraError, match=r"failed on a picture of 8 x 8.*input_px"):
+        BoxDetector(path, BoxSettings(classes=("red", "blue"), input_px=(8, 8)), ["red"], CAMERA)
+
+
+def test_a_picture_of_another_size_is_refused(tmp_path: Path) -> None:
+    detector = BoxDetector(write_squares(tmp_path / "e.onnx"), BoxSettings(), ["red"], CAMERA)
+    with pytest.raises(CameraError, match="camera section"):
+        detector.detect(np.zeros((64, 64, 3), np.uint8), LEVEL, 0.0)

@@ -1,0 +1,76 @@
+"""Outputs of the families of networks are read as the boxes that they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dronemon.errors import CameraError
+from dronemon.types import LAYOUTS, FloatArray, Layout
+from dronemon.vision.layouts import boxes_of, layout_of
+
+SIZE_PX = (320, 256)
+NUM_CLASSES = 5
+NUM_BOXES = 40
+RNG = np.random.default_rng(3)
+CORNERS_PX = np.sort(RNG.uniform(0.0, 256.0, (NUM_BOXES, 2, 2)), axis=1).reshape(-1, 4)
+CLASSES = RNG.integers(NUM_CLASSES, size=NUM_BOXES)
+SCORES = RNG.uniform(0.6, 1.0, NUM_BOXES)
+
+
+def written(layout: str, num_classes: int = NUM_CLASSES) -> list[FloatArray]:
+    """What a network of a layout puts out for the boxes above."""
+    size = CORNERS_PX[:, 2:] - CORNERS_PX[:, :2]
+    centres = np.concatenate([CORNERS_PX[:, :2] + 0.5 * size, size], axis=1)
+    shares = centres / [*SIZE_PX, *SIZE_PX]
+    classes = CLASSES % num_classes
+    chances = np.full((NUM_BOXES, num_classes), 0.01)
+    chances[np.arange(NUM_BOXES), classes] = SCORES
+    match layout:
+        case "yolov5":
+            things = np.full((NUM_BOXES, 1), 0.5)
+            return [np.concatenate([centres, things, 2.0 * chances], axis=1)[None]]
+        case "yolov8":
+            return [np.concatenate([centres, chances], axis=1).T[None]]
+        case "yolov10":
+            return [np.column_stack([CORNERS_PX, SCORES, classes])[None]]
+        case "rtdetr":
+            return [np.concatenate([shares, chances], axis=1)[None]]
+        case "detr":
+            return [np.log(chances / (1.0 - chances))[None], shares[None]]
+    none = 1.0 - SCORES[:, None]
+    spread = np.full((NUM_BOXES, num_classes), 1e-9)
+    spread[np.arange(NUM_BOXES), classes] = SCORES
+    return [shares[None], np.log(np.concatenate([spread, none], axis=1))[None]]
+
+
+@pytest.mark.parametrize("layout", [*LAYOUTS, "detr with none"])
+def test_a_layout_is_told_from_its_shapes_and_read(layout: str) -> None:
+    outputs = written(layout)
+    found = layout_of([of.shape for of in outputs], NUM_CLASSES)
+    assert found == layout.split()[0]
+    boxes = boxes_of(found, outputs, NUM_CLASSES, SIZE_PX)
+    np.testing.assert_allclose(boxes.corners_px, CORNERS_PX, atol=1e-9)
+    np.testing.assert_allclose(boxes.scores, SCORES, atol=1e-6)
+    np.testing.assert_array_equal(boxes.classes, CLASSES)
+
+
+@pytest.mark.parametrize(("num_classes", "either"), [(1, "yolov5 or yolov10"), (2, "yolov10 or")])
+def test_what_may_be_two_layouts_is_asked_for(num_classes: int, either: str) -> None:
+    with pytest.raises(CameraError, match=f"{either}.*detector.layout"):
+        layout_of([written("yolov10", num_classes)[0].shape], num_classes)
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [[(1, 100, 7)], [(1, 9, 5)], [(9, 100)], [(2, 9, 100)], [(1, 100, 5)] * 2, [(1, 9, 100)] * 3],
+)
+def test_other_shapes_are_refused(shapes: list[tuple[int, ...]]) -> None:
+    with pytest.raises(CameraError, match="is none of yolov5"):
+        layout_of(shapes, NUM_CLASSES)
+
+
+def test_every_layout_has_a_reader() -> None:
+    for layout in LAYOUTS:
+        chosen: Layout = layout
+        assert len(boxes_of(chosen, written(layout), NUM_CLASSES, SIZE_PX).scores) == NUM_BOXES
