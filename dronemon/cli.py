@@ -360,6 +360,10 @@ _ELSEWHERE = {
         "dronemon.viewing",
         "Look at a flight's recording: in a window, or without a display on a page here.",
     ),
+    "detect": (
+        "dronemon.detecting",
+        "Try a mission's detector on pictures, a video or a stream, before it is flown.",
+    ),
     "export": (
         "dronemon.export.command",
         "Write a flight's sightings and track for maps: GeoJSON, CSV, KMZ, GPX, Cursor-on-Target.",

@@ -94,7 +94,7 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detection:
-    """One animal found in one picture.
+    """One target found in one picture.
 
     `pixel_px` is (u, v) of its centre on the ground, u right and v down from the top left.
     """
@@ -103,6 +103,8 @@ class Detection:
     pixel_px: tuple[float, float]
     score: float
     """Confidence in the class, 0 to 1."""
+    box_px: tuple[float, float, float, float] | None = None
+    """Left, top, right and bottom of what was found, where the detector tells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -53,6 +53,7 @@ LAYERS = {
     "export": 5,
     "report": 5,
     "viewing": 5,
+    "detecting": 5,
     "feasibility": 5,
     "simulator": 5,
 }

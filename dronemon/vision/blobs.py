@@ -64,7 +64,15 @@ class BlobDetector:
             least_m, most_m = self._look.size_m
             if least_m <= size_m <= most_m and filled >= self._look.min_score:
                 u, v = centre_px.tolist()
-                found.append(Detection(appearance=self._appearance, pixel_px=(u, v), score=filled))
+                x, y = float(left[index]), float(top[index])
+                found.append(
+                    Detection(
+                        appearance=self._appearance,
+                        pixel_px=(u, v),
+                        score=filled,
+                        box_px=(x, y, x + float(width[index]), y + float(height[index])),
+                    )
+                )
         return tuple(found[:_MOST_SPOTS])
 
     def _is_like(self, image: ImageArray) -> BoolArray:

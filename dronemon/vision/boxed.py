@@ -117,6 +117,7 @@ class BoxDetector:
                 appearance=self._names[number],
                 pixel_px=(float(x + right) / 2.0, float(y + bottom) / 2.0),
                 score=float(score),
+                box_px=(float(x), float(y), float(right), float(bottom)),
             )
             for (x, y, right, bottom), score, number in zip(*found, strict=True)
         )

@@ -67,7 +67,15 @@ class MarkerDetector:
             appearance = self._appearances.get(int(number))
             if appearance is not None and self._has_size(corners_px, pose, ground_down_m):
                 u, v = corners_px.mean(axis=0).tolist()
-                found.append(Detection(appearance=appearance, pixel_px=(u, v), score=1.0))
+                (left, top), (right, bottom) = corners_px.min(axis=0), corners_px.max(axis=0)
+                found.append(
+                    Detection(
+                        appearance=appearance,
+                        pixel_px=(u, v),
+                        score=1.0,
+                        box_px=(float(left), float(top), float(right), float(bottom)),
+                    )
+                )
         return tuple(found)
 
     def _has_size(self, corners_px: FloatArray, pose: Pose, ground_down_m: float) -> bool:

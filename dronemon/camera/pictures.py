@@ -1,0 +1,70 @@
+"""Pictures that lie on a disk, or come from any video, one after the other without a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dronemon.errors import CameraError
+from dronemon.types import ImageArray
+
+SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"}
+_TIMEOUT_MS = 10_000
+
+
+def pictures_of(source: str) -> Iterator[tuple[str, ImageArray]]:
+    """Name and picture (height, width, 3), uint8 BGR, of each in a file, a folder or a video.
+
+    source: of a video also the URL of a stream, or the number of a device
+
+    Raises CameraError.
+    """
+    path = Path(source)
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+        if not files:
+            raise CameraError(
+                f"{source}: no pictures in it; read are {', '.join(sorted(SUFFIXES))}"
+            )
+        for file in files:
+            yield file.name, _read(file)
+    elif path.suffix.lower() in SUFFIXES:
+        yield path.name, _read(path)
+    else:
+        yield from _frames(source)
+
+
+def _read(path: Path) -> ImageArray:
+    """A picture as it is stored: a camera's, which no flag has turned upright."""
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except (OSError, cv2.error) as exc:
+        raise CameraError(f"{path}: cannot be read: {exc}") from exc
+    if image is None:
+        raise CameraError(f"{path}: is no picture that can be read")
+    return np.asarray(image, np.uint8)
+
+
+def _frames(source: str) -> Iterator[tuple[str, ImageArray]]:
+    if source.isdigit():
+        video = cv2.VideoCapture(int(source))
+    else:
+        limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
+        limited = [number for limit in limits for number in (limit, _TIMEOUT_MS)]
+        video = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limited)
+    try:
+        number, (is_read, image) = 0, video.read()
+        if not is_read:
+            raise CameraError(
+                f"{source}: no picture, folder, video or stream that can be read; is it right?"
+            )
+        while is_read:
+            number += 1
+            yield f"{number:06d}", np.asarray(image, np.uint8)
+            is_read, image = video.read()
+    finally:
+        video.release()
