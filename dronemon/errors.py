@@ -26,7 +26,8 @@ these at their one seam.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 
@@ -147,3 +148,9 @@ def blaming(who: str, error: type[DronemonError]) -> Iterator[None]:
         raise
     except (Exception, SystemExit) as exc:
         raise error(f"{who} failed: {exc!r}") from exc
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A question that names what is most like it, and a space; empty if nothing is."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return "".join(f"did you mean {one}? " for one in near)

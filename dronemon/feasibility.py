@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
 from dronemon.card import find_checkpoint, read_card
-from dronemon.errors import CameraError, MissionFileError, OptionError, PolicyError
+from dronemon.errors import MissionFileError, OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
@@ -17,7 +16,7 @@ from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.vision.detector import NEEDED_PX_PER_M
+from dronemon.vision.detector import DRAWN_NEEDS_PX_PER_M
 from dronemon.world.motions import motion_flaw
 
 
@@ -88,12 +87,11 @@ def px_per_m(mission: Mission) -> float:
     return mission.camera.model.focal_px / mission.flight.altitude_m
 
 
-def needed_px_per_m(mission: Mission) -> float:
-    """The least that the detector needs of it; 0 where nobody knows."""
+def needed_px_per_m(mission: Mission) -> float | None:
+    """The least that the detector needs of it; None where nobody has said."""
     of = mission.detector
-    if of.needed_px_per_m is not None:
-        return of.needed_px_per_m
-    return NEEDED_PX_PER_M if of.kind == "drawn" else 0.0
+    is_own = of.needed_px_per_m is None and of.kind == "drawn"
+    return DRAWN_NEEDS_PX_PER_M if is_own else of.needed_px_per_m
 
 
 def flight_facts(m: Mission) -> dict[str, str]:
@@ -106,7 +104,8 @@ def flight_facts(m: Mission) -> dict[str, str]:
         "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
         f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m, banked "
         f"{math.degrees(m.flight.bank_rad):.0f} degrees",
-        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs {needed_px_per_m(m):g}",
+        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs "
+        f"{needed_px_per_m(m) or 'what detector.needed_px_per_m does not say'}",
         "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
         f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
         "pictures": f"{m.num_pictures}, one every {MEASUREMENT_INTERVAL_AU * m.area.side_m:g} m",
@@ -158,9 +157,9 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
 
 
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
-    """Whether the camera sees the whole footprint from the patrol's height, and animals in it."""
+    """Whether the camera sees the whole footprint from the patrol's height, and targets in it."""
     needed_px = needed_px_per_m(mission)
-    highest_m = mission.camera.model.focal_px / needed_px if needed_px else math.inf
+    highest_m = math.inf if needed_px is None else mission.camera.model.focal_px / needed_px
     side_m, altitude_m = mission.area.side_m, mission.flight.altitude_m
     needed_m = mission.needed_altitude_m
     bank = f"while it banks {math.degrees(mission.flight.bank_rad):.1f} degrees to accelerate"
@@ -200,16 +199,14 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
 def _detector_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the detector can be made; the simulator's, which is slow to import, always can."""
     of = mission.detector
-    if of.kind == "drawn" or (of.kind == "onnx" and not Path(of.file or "").is_file()):
+    if of.kind == "drawn" or (of.kind == "onnx" and of.file is None):
         return
     from dronemon.vision.registry import make_detector
 
     try:
         make_detector(mission)
     except OptionError as exc:
-        yield ("detector", "kind"), str(exc)
-    except CameraError as exc:
-        yield ("detector", "file" if of.kind == "onnx" else "family"), str(exc)
+        yield ("detector",), str(exc)
 
 
 def _planner_problems(mission: Mission) -> Iterator[Problem]:

@@ -21,6 +21,8 @@ WINDOW_AU = WINDOW_TIME_SCALES * TIME_SCALE_AU
 """That age with the default kernel."""
 PREDICTION_AU = 2.0
 """How much later than now beliefs are looked at, too. Section IV-A."""
+MAX_TARGETS = 100
+"""Of a mission or an instance."""
 DEFAULT_HISTORY, MAX_HISTORY = 100, 1000
 """T, the decisions that a learned planner looks back. Section V-A; the paper's Table II has 200."""
 PRESENCE_STD_AU = 0.1

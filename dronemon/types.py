@@ -38,6 +38,17 @@ class Pose:
     attitude_rad: Vector3
     """Roll, pitch, yaw: rotations about forward, right, down (aerospace ZYX order)."""
 
+    @classmethod
+    def level(cls, height_m: float) -> Pose:
+        """Still and level, north ahead, at a height over the origin."""
+        still = (0.0, 0.0, 0.0)
+        return cls(
+            time_s=0.0,
+            position_ned_m=(0.0, 0.0, -height_m),
+            velocity_ned_m_s=still,
+            attitude_rad=still,
+        )
+
     @property
     def ground_speed_m_s(self) -> float:
         """Speed over the ground."""

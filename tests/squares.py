@@ -6,12 +6,16 @@ import json
 import warnings
 from pathlib import Path
 
+import numpy as np
 import onnx
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
-CLASSES = ("red", "blue")
+from dronemon.types import ImageArray
+
+BGR = {"red": (20, 20, 240), "blue": (240, 20, 20)}
+CLASSES = tuple(BGR)
 SIDE_PX, _STEP_PX = 24, 8
 
 
@@ -72,3 +76,15 @@ def write_squares(
         onnx.helper.set_model_props(model, {"names": str(names), "task": json.dumps("detect")})
         onnx.save(model, path)
     return path
+
+
+def draw_squares(
+    size_px: tuple[int, int], side_px: int, *squares: tuple[str, int, int]
+) -> ImageArray:
+    """A grey picture with squares: colour, and u, v of the centre."""
+    width, height = size_px
+    image = np.full((height, width, 3), 90, np.uint8)
+    half = side_px // 2
+    for colour, u, v in squares:
+        image[v - half : v + half, u - half : u + half] = BGR[colour]
+    return image

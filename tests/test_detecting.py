@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from squares import write_squares
+from squares import SIDE_PX, draw_squares, write_squares
 
 from dronemon.detecting import detect_command
 from dronemon.errors import CameraError, DronemonError, OptionError
@@ -20,7 +20,6 @@ flight: {altitude_m: 60}
 targets: [{name: Ann, appearance: red}, {name: Ben, appearance: blue}]
 detector: {kind: onnx, file: eyes.onnx, most_shared: 0.3}
 """
-BGR = {"red": (20, 20, 240), "blue": (240, 20, 20)}
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +30,8 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(folder / "mission.yaml")
 
 
-def picture(**squares: tuple[int, int]) -> ImageArray:
-    """Grey, with a square of each colour about u, v."""
-    image = np.full((320, 320, 3), 90, np.uint8)
-    for colour, (u, v) in squares.items():
-        image[v - 12 : v + 12, u - 12 : u + 12] = BGR[colour]
-    return image
+def picture(*squares: tuple[str, int, int]) -> ImageArray:
+    return draw_squares((320, 320), SIDE_PX, *squares)
 
 
 def test_a_folder_of_pictures_is_told_marked_and_tabled(
@@ -45,8 +40,8 @@ def test_a_folder_of_pictures_is_told_marked_and_tabled(
     folder, out = tmp_path / "pictures", tmp_path / "found"
     folder.mkdir()
     cv2.imwrite(str(folder / "b.png"), picture())
-    cv2.imwrite(str(folder / "a.png"), picture(red=(60, 60), blue=(204, 100)))
-    cv2.imwrite(str(folder / "c.png"), picture(red=(100, 196)))
+    cv2.imwrite(str(folder / "a.png"), picture(("red", 60, 60), ("blue", 204, 100)))
+    cv2.imwrite(str(folder / "c.png"), picture(("red", 100, 196)))
     (folder / "notes.txt").write_text("not a picture")
     detect_command(str(folder), mission, out)
     a, b, c, total, _ = capsys.readouterr().out.splitlines()
@@ -56,7 +51,7 @@ def test_a_folder_of_pictures_is_told_marked_and_tabled(
     assert (b, c[:14]) == ("b.png: nothing", "c.png: red 0.8")
     assert total.startswith("3 pictures: blue in 1, red in 2; ")
     rows = csv.DictReader((out / "detections.csv").read_text().splitlines())
-    places = {(r["picture"], r["appearance"], r["u_px"], r["v_px"], r["left"]) for r in rows}
+    places = {(r["picture"], r["appearance"], r["u_px"], r["v_px"], r["left_px"]) for r in rows}
     assert places == {
         ("a.png", "red", "60.000", "60.000", "48.000"),
         ("a.png", "blue", "204.000", "100.000", "192.000"),
@@ -64,7 +59,7 @@ def test_a_folder_of_pictures_is_told_marked_and_tabled(
     }
     for name in "abc":
         before = cv2.imread(str(folder / f"{name}.png"))
-        after = cv2.imread(str(out / f"{name}.jpg"))
+        after = cv2.imread(str(out / f"{name}.png.found.jpg"))
         assert after.shape == before.shape
         assert (cv2.absdiff(after, before).max() > 100) == (name != "b")
 
@@ -75,7 +70,7 @@ def test_every_second_picture_of_a_video_is_looked_at(
     path = tmp_path / "walk.avi"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (320, 320))
     for step in range(5):
-        video.write(picture(red=(60 + 8 * step, 60)))
+        video.write(picture(("red", 60 + 8 * step, 60)))
     video.release()
     detect_command(str(path), mission, every=2)
     *lines, total = capsys.readouterr().out.splitlines()
@@ -90,7 +85,7 @@ def test_every_second_picture_of_a_video_is_looked_at(
         ("empty", "empty: no pictures in it"),
         ("text.jpg", r"text\.jpg: is no picture"),
         ("gone.jpg", r"gone\.jpg: cannot be read: .*No such file"),
-        ("small.png", r"small\.png: .*camera section"),
+        ("small.png", r"small\.png: .*30 x 20 pixels, the mission says 320 x 320"),
         ("clip.mp4", r"clip\.mp4: no picture, folder, video or stream"),
     ],
 )
@@ -110,6 +105,14 @@ def test_a_folder_that_cannot_be_written_is_named(mission: str, tmp_path: Path) 
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OptionError, match="--out"):
         detect_command(str(tmp_path / "a.png"), mission, tmp_path / "file")
+
+
+@pytest.mark.parametrize("source", ["pictures", "pictures/a.png"])
+def test_copies_do_not_go_where_the_pictures_are(mission: str, tmp_path: Path, source: str) -> None:
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite(str(tmp_path / "pictures" / "a.png"), picture())
+    with pytest.raises(OptionError, match="is where the pictures are"):
+        detect_command(str(tmp_path / source), mission, tmp_path / "pictures")
 
 
 def test_a_failing_detector_is_blamed_for_its_picture(

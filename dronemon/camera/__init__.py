@@ -2,7 +2,7 @@
 
 from dronemon.camera.crops import CropKeeper, crop_path
 from dronemon.camera.simulated import SimulatedCamera
-from dronemon.camera.source import FrameSource, check_picture
+from dronemon.camera.source import FrameSource, check_picture, check_size
 from dronemon.camera.video import VideoCamera
 
 __all__ = [
@@ -11,5 +11,6 @@ __all__ = [
     "SimulatedCamera",
     "VideoCamera",
     "check_picture",
+    "check_size",
     "crop_path",
 ]

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dronemon.camera.video import open_video
 from dronemon.errors import CameraError
 from dronemon.types import ImageArray
 
@@ -50,12 +51,7 @@ def _read(path: Path) -> ImageArray:
 
 
 def _frames(source: str) -> Iterator[tuple[str, ImageArray]]:
-    if source.isdigit():
-        video = cv2.VideoCapture(int(source))
-    else:
-        limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-        limited = [number for limit in limits for number in (limit, _TIMEOUT_MS)]
-        video = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limited)
+    video = open_video(int(source) if source.isdigit() else source, _TIMEOUT_MS)
     try:
         number, (is_read, image) = 0, video.read()
         if not is_read:

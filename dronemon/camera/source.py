@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, Self
 
 from dronemon.errors import CameraError
-from dronemon.types import CameraModel, Picture
+from dronemon.types import CameraModel, ImageArray, Picture
 
 _MAX_AHEAD_S = 5.0
 """Vehicle time by which the newest pose may be behind a picture on its way."""
@@ -35,15 +35,7 @@ def check_picture(picture: Picture, model: CameraModel, now_s: float, last_s: fl
 
     now_s, last_s: vehicle time, and that of the picture before
     """
-    height_px, width_px = picture.image.shape[:2]
-    wanted_px = model.width_px, model.height_px
-    if (width_px, height_px) != wanted_px:
-        turned = "; it seems to be turned" if (height_px, width_px) == wanted_px else ""
-        raise CameraError(
-            f"the camera's pictures are {width_px} x {height_px} pixels, the mission says "
-            f"{model.width_px} x {model.height_px}{turned}; "
-            "set camera.width_px and camera.height_px to what it sends"
-        )
+    check_size(picture.image, model)
     if not picture.time_s <= now_s + _MAX_AHEAD_S:
         raise CameraError(
             f"a picture is stamped {picture.time_s:.2f} s, the vehicle's time is {now_s:.2f} s; "
@@ -54,3 +46,16 @@ def check_picture(picture: Picture, model: CameraModel, now_s: float, last_s: fl
     sample = picture.image[::8, ::8]
     if int(sample.max()) - int(sample.min()) < _MIN_CONTRAST:
         raise CameraError("a picture shows nothing at all; is the camera covered or broken?")
+
+
+def check_size(image: ImageArray, model: CameraModel) -> None:
+    """See whether a picture is as large as the camera's. Raises CameraError if not."""
+    height_px, width_px = image.shape[:2]
+    wanted_px = model.width_px, model.height_px
+    if (width_px, height_px) != wanted_px:
+        turned = "; it seems to be turned" if (height_px, width_px) == wanted_px else ""
+        raise CameraError(
+            f"the camera's pictures are {width_px} x {height_px} pixels, the mission says "
+            f"{model.width_px} x {model.height_px}{turned}; "
+            "set camera.width_px and camera.height_px to what it sends"
+        )

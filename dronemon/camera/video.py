@@ -123,7 +123,7 @@ class _Reader(threading.Thread):
     def run(self) -> None:
         """Deliver every picture as it comes, and a CameraError at the end."""
         with suppress(RuntimeError):  # the event loop is closed: nobody listens any more
-            video = self._open()
+            video = open_video(self._source, self._timeout_ms)
             limit = f"{self._timeout_ms / 1000.0:g} s"
             problem = f"could not be opened within {limit}; is the address right and the camera on?"
             try:
@@ -135,13 +135,6 @@ class _Reader(threading.Thread):
             finally:
                 video.release()
 
-    def _open(self) -> cv2.VideoCapture:
-        if isinstance(self._source, int):
-            return cv2.VideoCapture(self._source)
-        timeouts = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-        limits = [number for timeout in timeouts for number in (timeout, self._timeout_ms)]
-        return cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, limits)
-
     def _read(self, video: cv2.VideoCapture) -> None:
         is_file = isinstance(self._source, str) and Path(self._source).is_file()
         pause_s = 1.0 / max(video.get(cv2.CAP_PROP_FPS), 1.0) if is_file else 0.0
@@ -150,3 +143,12 @@ class _Reader(threading.Thread):
             if not is_read:
                 return
             self._deliver(Picture(time_s=self._stamp_s(), image=np.asarray(image, np.uint8)))
+
+
+def open_video(source: str | int, timeout_ms: int) -> cv2.VideoCapture:
+    """A device's number, or a URL or file, which is given up when it is silent for so long."""
+    if isinstance(source, int):
+        return cv2.VideoCapture(source)
+    timeouts = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
+    limits = [number for timeout in timeouts for number in (timeout, timeout_ms)]
+    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)

@@ -17,12 +17,11 @@ from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
 from dronemon.planner import create_planner, has_weights, planner_names
-from dronemon.problem import MAX_HISTORY, MOTIONS, Prior, is_tracks
+from dronemon.problem import MAX_HISTORY, MAX_TARGETS, MOTIONS, Prior, is_tracks
 from dronemon.sensor import PERFECT, Sensor
 from dronemon.world.motions import motion_flaw
 
 PRIORS: tuple[Prior, ...] = ("full", "number", "none")
-MAX_TARGETS = 100
 DEFAULT_NODES = 200
 
 

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 from dronemon.energy import cost_home
+from dronemon.errors import did_you_mean
 from dronemon.mission.addresses import is_video_file
+from dronemon.mission.detector import KEYS_OF_KIND, DetectorSection
 from dronemon.mission.document import Problem
 from dronemon.mission.faults import parse_fault
-from dronemon.mission.schema import Detector, Mission
+from dronemon.mission.schema import Mission
 from dronemon.types import APPEARANCES
 
 _CLIMB_M_S = 1.5  # cautious, for the estimate of flight time
 _LEAST_PATROL_MIN = 1.0  # of each battery of a relay
-_KEYS_OF = {
-    "onnx": ("file", "classes", "layout", "input_px", "tile_px", "most_shared"),
-    "markers": ("family", "side_m"),
-    "blobs": ("hue_deg", "saturation", "brightness", "size_m"),
-}
-"""Keys that only one kind of detector has."""
 _AS_IT_COMES: Mapping[str, float] = MappingProxyType({})
 
 
@@ -70,27 +65,22 @@ def _twins(mission: Mission) -> Iterator[Problem]:
 def _detector_problems(mission: Mission) -> Iterator[Problem]:
     """Keys of another kind of detector, and appearances that this one cannot know."""
     detector = mission.detector
-    for kind, keys in _KEYS_OF.items():
+    for kind, keys in KEYS_OF_KIND.items():
         for key in keys if kind != detector.kind else ():
-            if getattr(detector, key) != Detector.model_fields[key].default:
+            if getattr(detector, key) != DetectorSection.model_fields[key].default:
                 yield ("detector", key), f"is for kind {kind}, but kind is {detector.kind!r}"
-    if detector.kind == "onnx":
-        if detector.file is None:
-            yield ("detector", "file"), "is missing; name the network's ONNX file"
-        elif not Path(detector.file).is_file():
-            yield ("detector", "file"), f"{detector.file}: no such file"
+    if detector.kind == "onnx" and detector.file is None:
+        yield ("detector", "file"), "is missing; name the network's ONNX file"
     if detector.kind == "blobs" and len(mission.targets) > 1:
         yield ("detector", "kind"), "blobs look alike, so there can be one target only"
     for index, target in enumerate(mission.targets):
         name = target.appearance
         if (detector.kind == "drawn" or mission.camera.is_simulated) and name not in APPEARANCES:
-            near = "".join(
-                f"; did you mean {n}?" for n in difflib.get_close_matches(name, APPEARANCES, n=1)
-            )
             who = "the simulator draws" if mission.camera.is_simulated else "kind drawn knows"
             yield (
                 ("targets", index, "appearance"),
-                f"{name!r} is none of what {who}: {', '.join(APPEARANCES)}{near}",
+                f"{name!r} is none of what {who}; {did_you_mean(name, APPEARANCES)}"
+                f"there are: {', '.join(APPEARANCES)}",
             )
 
 

@@ -9,14 +9,17 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from dronemon.mission.addresses import mavlink_url_problem
+from dronemon.mission.detector import DetectorSection
 from dronemon.mission.faults import parse_fault
+from dronemon.mission.section import Fraction, Section
 from dronemon.problem import (
     DEFAULT_HISTORY,
     LENGTH_SCALE_AU,
     MAX_HISTORY,
+    MAX_TARGETS,
     MEASUREMENT_INTERVAL_AU,
     SENSOR_RADIUS_AU,
     TIME_SCALE_AU,
@@ -24,30 +27,10 @@ from dronemon.problem import (
 )
 from dronemon.sensor import LIMITS
 from dronemon.sensor import Sensor as SensorModel
-from dronemon.types import APPEARANCES, GRAVITY_M_S2, CameraModel, Layout
+from dronemon.types import APPEARANCES, GRAVITY_M_S2, CameraModel
 
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
-Pixel = Annotated[int, Field(ge=32, le=8192)]
-Hue = Annotated[float, Field(ge=0.0, le=360.0)]
-Size = Annotated[float, Field(gt=0.0, le=1000.0)]
-Pixels = Annotated[tuple[Pixel, Pixel], Field(strict=False)]
-Hues = Annotated[tuple[Hue, Hue], Field(strict=False)]
-Sizes = Annotated[tuple[Size, Size], Field(strict=False)]
-MAX_TARGETS = 100
 _TURN_S = 4.0
-
-
-class Section(BaseModel):
-    """A part of a mission file: immutable, and unknown keys are errors."""
-
-    model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        strict=True,
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
-    )
 
 
 class Area(Section):
@@ -191,41 +174,6 @@ class Camera(Section):
         )
 
 
-class Detector(Section):
-    """How targets are found in pictures; most keys are for one kind."""
-
-    kind: str = "drawn"
-    """drawn (the simulator's animals), onnx, markers, blobs, or package.module:Class."""
-    min_score: Fraction = 0.5
-    """Detections less certain than this are dropped."""
-    needed_px_per_m: float | None = Field(None, gt=0.0, le=1000.0)
-    """Least size of a metre on the picture; drawn has its own, the others none if absent."""
-    file: str | None = None
-    """onnx: the network's file, its path from this one."""
-    classes: Annotated[tuple[str, ...], Field(strict=False)] = ()
-    """onnx: all that the network was trained for, in order; none where the file tells."""
-    layout: Layout | None = None
-    """onnx: of the network's output; told from its shape if absent."""
-    input_px: Pixels | None = None
-    """onnx: [width, height] of its input, where the file leaves it open."""
-    tile_px: int | None = Field(None, ge=64, le=8192)
-    """onnx: side of the parts in which it is shown a picture; all at once if absent."""
-    most_shared: Fraction = 0.5
-    """onnx: share of area in common from which two boxes are of one target."""
-    family: str = "apriltag_36h11"
-    """markers: their set, by OpenCV's name, such as 4x4_50 or apriltag_16h5."""
-    side_m: float | None = Field(None, gt=0.0, le=100.0)
-    """markers: side of the black square, a check on each find; none if absent."""
-    hue_deg: Hues | None = None
-    """blobs: [from, to] round the circle of hues: red 0, green 120, blue 240; any if absent."""
-    saturation: Fraction = 0.0
-    """blobs: least saturation of the colour."""
-    brightness: Fraction = 0.0
-    """blobs: least brightness; a thermal camera's warmth."""
-    size_m: Sizes = (0.2, 5.0)
-    """blobs: [least, greatest] root of the area on the ground."""
-
-
 class Sensor(Section):
     """How the eye is expected to err; a simulated one does by its faults hide, decoy and so on."""
 
@@ -364,7 +312,7 @@ class Mission(Section):
     flight: Flight = Flight()
     vehicle: Vehicle = Vehicle()
     camera: Camera = Camera()
-    detector: Detector = Detector()
+    detector: DetectorSection = DetectorSection()
     sensor: Sensor = Sensor()
     targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=MAX_TARGETS)
     """The targets to watch, each with its own name and appearance."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pkgutil import resolve_name
 from typing import Any
 
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, did_you_mean
 from dronemon.outside import find_class
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.planner.planner import Planner
@@ -91,10 +90,9 @@ def create_planner(
     if kind in brought:
         return _make_outside(brought[kind])
     names = sorted({*_SHIPPED, *brought})
-    nearest = "".join(f"did you mean {n}? " for n in difflib.get_close_matches(kind, names, n=1))
     raise OptionError(
-        f"there is no planner {kind!r}; {nearest}there are: {', '.join(names)}, and your own as "
-        "package.module:Class"
+        f"there is no planner {kind!r}; {did_you_mean(kind, names)}"
+        f"there are: {', '.join(names)}, and your own as package.module:Class"
     )
 
 

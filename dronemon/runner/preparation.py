@@ -139,12 +139,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
 def try_detector(mission: Mission, detector: Detector) -> None:
     """Detect nothing in a picture of noise. Raises CameraError for a detector that fails."""
     camera = mission.camera.model
-    level = Pose(
-        time_s=0.0,
-        position_ned_m=(0.0, 0.0, -mission.flight.altitude_m),
-        velocity_ned_m_s=(0.0, 0.0, 0.0),
-        attitude_rad=(0.0, 0.0, 0.0),
-    )
+    level = Pose.level(mission.flight.altitude_m)
     noise = np.random.default_rng(0).integers(0, 255, (camera.height_px, camera.width_px, 3))
     with blaming("the detector", CameraError):
         detector.detect(noise.astype(np.uint8), level, 0.0)

@@ -3,7 +3,7 @@
 Each round the student flies (at first the teacher does), the teacher scores every neighbour of
 every node reached, and the student learns from all lessons so far (dataset aggregation). The
 teacher's best choice is chance where neighbours tie, so the student learns the softmax of its
-scores. The last part of the time budget can be PPO from there.
+scores. The last part of the budget can be PPO from there.
 
 Source: Ross, Gordon & Bagnell (2011), algorithm 3.1.
 """
@@ -83,7 +83,7 @@ class ExpertConfig:
     updates:         of the network each round
     minibatch_episodes: in an update, which learns from every stride-th decision of each
     temperature:     of the soft targets, as a share of a decision's largest gain
-    imitation_share: of the time budget, before PPO
+    imitation_share: of the budget, before PPO
     symmetries:      learn each episode in the eight ways of seeing the square
     teacher_drawn:   effort of each of the teacher's planners
     teacher_refined: the same

@@ -1,1 +1,1 @@
-"""Eyes: animals in pictures, and what they mean for the binary sensor."""
+"""Eyes: targets in pictures, and what they mean for the binary sensor."""

@@ -5,89 +5,67 @@ It cannot tell one target from another, or a target from any other such spot.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import cv2
 import numpy as np
 
-from dronemon.frames import pixel_to_ground
-from dronemon.types import BoolArray, CameraModel, Detection, FloatArray, ImageArray, Pose
-from dronemon.vision.detector import check_size
+from dronemon.mission.detector import DetectorSection
+from dronemon.types import BoolArray, CameraModel, Detection, ImageArray, Pose
+from dronemon.vision.project import ground_side_m
 
 _MOST_SPOTS = 32
 _MIN_AREA_PX = 9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
-    """What spots look like.
-
-    hue_deg:    from one hue round to another, 0 red, 120 green, 240 blue; any colour for None
-    saturation: least, 0 to 1
-    brightness: least, 0 to 1; a thermal camera's warmth
-    size_m:     least and greatest size on the ground: the root of its area
-    min_score:  share of its outline that a spot fills at least
-    """
-
-    hue_deg: tuple[float, float] | None = None
-    saturation: float = 0.0
-    brightness: float = 0.0
-    size_m: tuple[float, float] = (0.2, 5.0)
-    min_score: float = 0.0
+_PIXEL = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 class BlobDetector:
     """Finds spots, which are all of the one appearance that is watched."""
 
-    def __init__(self, appearance: str, camera: CameraModel, look: Look) -> None:
-        self._appearance, self._camera, self._look = appearance, camera, look
+    def __init__(self, of: DetectorSection, appearance: str, camera: CameraModel) -> None:
+        self._of, self._appearance, self._camera = of, appearance, camera
 
     def detect(self, image: ImageArray, pose: Pose, ground_down_m: float) -> tuple[Detection, ...]:
         """The spots that are wholly in a picture, the largest first.
 
-        image: (height, width, 3) uint8 BGR; scores say how well a spot fills its outline
-        Raises CameraError if the picture's size is not the camera's.
+        image: (height, width, 3) uint8 BGR; scores say how well a spot fills its box
         """
-        check_size(image, self._camera)
         count, _, stats, centres = cv2.connectedComponentsWithStats(
             self._is_like(image).astype(np.uint8), connectivity=8
         )
         left, top, width, height, area = stats[1:count].T
         is_whole = (left > 0) & (top > 0)
         is_whole &= (left + width < image.shape[1]) & (top + height < image.shape[0])
-        chosen = np.flatnonzero(is_whole & (area >= _MIN_AREA_PX))
+        is_whole &= area >= _MIN_AREA_PX
+        boxes = np.stack([left, top, left + width, top + height], axis=1).astype(float)
         found = []
-        for index in chosen[np.argsort(-area[chosen])]:
+        for index in np.flatnonzero(is_whole)[np.argsort(-area[is_whole])][:_MOST_SPOTS]:
             centre_px = centres[1 + index] + 0.5
-            size_m = float(np.sqrt(area[index])) * self._m_per_px(centre_px, pose, ground_down_m)
-            filled = min(1.0, float(area[index] / (width[index] * height[index])))
-            least_m, most_m = self._look.size_m
-            if least_m <= size_m <= most_m and filled >= self._look.min_score:
+            m_per_px = ground_side_m(centre_px + _PIXEL, self._camera, pose, ground_down_m)
+            least_m, most_m = self._of.size_m
+            filled = float(area[index] / (width[index] * height[index]))
+            if (
+                least_m <= math.sqrt(area[index]) * m_per_px <= most_m
+                and filled >= self._of.min_score
+            ):
                 u, v = centre_px.tolist()
-                x, y = float(left[index]), float(top[index])
-                found.append(
-                    Detection(
-                        appearance=self._appearance,
-                        pixel_px=(u, v),
-                        score=filled,
-                        box_px=(x, y, x + float(width[index]), y + float(height[index])),
-                    )
+                find = Detection(
+                    appearance=self._appearance,
+                    pixel_px=(u, v),
+                    score=filled,
+                    box_px=tuple(boxes[index].tolist()),
                 )
-        return tuple(found[:_MOST_SPOTS])
+                found.append(find)
+        return tuple(found)
 
     def _is_like(self, image: ImageArray) -> BoolArray:
         """Which pixels look so. -> (height, width)"""
         hsv = cv2.cvtColor(image.astype(np.float32) / np.float32(255.0), cv2.COLOR_BGR2HSV)
         hue, saturation, brightness = np.moveaxis(hsv, -1, 0)
-        is_like = (saturation >= self._look.saturation) & (brightness >= self._look.brightness)
-        if self._look.hue_deg is not None:
-            first, last = self._look.hue_deg
+        is_like = (saturation >= self._of.saturation) & (brightness >= self._of.brightness)
+        if self._of.hue_deg is not None:
+            first, last = self._of.hue_deg
             is_like &= (hue - first) % 360.0 <= (last - first) % 360.0
         return np.asarray(is_like, np.bool_)
-
-    def _m_per_px(self, centre_px: FloatArray, pose: Pose, ground_down_m: float) -> float:
-        """Side on the ground of a pixel there; infinite towards the horizon."""
-        corners_px = centre_px + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-        (x0, y0), *rest = pixel_to_ground(corners_px, self._camera, pose, ground_down_m).tolist()
-        outline = np.array([[0.0, 0.0], *([x - x0, y - y0] for x, y in rest)], np.float32)
-        return float(np.sqrt(cv2.contourArea(outline))) if np.isfinite(outline).all() else np.inf

@@ -47,8 +47,8 @@ class Boxes(NamedTuple):
         """
         if not len(self.scores):
             return self
-        x, y, right, bottom = self.corners_px.T
-        sides = np.stack([x, y, right - x, bottom - y], axis=1)
+        places, ends = self.corners_px[:, :2], self.corners_px[:, 2:]
+        sides = np.concatenate([places, ends - places], axis=1)
         kept = cv2.dnn.NMSBoxesBatched(
             sides.tolist(), self.scores.tolist(), self.classes.tolist(), 0.0, most_shared
         )
@@ -69,15 +69,12 @@ class Tile(NamedTuple):
 
     def whole(self, boxes: Boxes, width_px: int, height_px: int) -> Boxes:
         """Boxes of the tile as boxes of the picture, less those that the tile's edge cuts."""
-        left, top, right, bottom = (boxes.corners_px + [self.left, self.top] * 2).T
-        is_cut = (left < self.left + _EDGE_PX) & (self.left > 0)
-        is_cut |= (top < self.top + _EDGE_PX) & (self.top > 0)
-        is_cut |= (right > self.left + self.width - _EDGE_PX) & (self.left + self.width < width_px)
-        is_cut |= (bottom > self.top + self.height - _EDGE_PX) & (
-            self.top + self.height < height_px
-        )
-        moved = boxes._replace(corners_px=np.stack([left, top, right, bottom], axis=1))
-        return moved.chosen(~is_cut)
+        start = np.array([self.left, self.top])
+        end = start + np.array([self.width, self.height])
+        corners_px = boxes.corners_px + np.tile(start, 2)
+        is_cut = (corners_px[:, :2] < start + _EDGE_PX) & (start > 0)
+        is_cut |= (corners_px[:, 2:] > end - _EDGE_PX) & (end < [width_px, height_px])
+        return boxes._replace(corners_px=corners_px).chosen(~is_cut.any(axis=1))
 
 
 def tiles(width_px: int, height_px: int, side_px: int | None) -> Iterator[Tile]:

@@ -17,7 +17,6 @@ from scipy.spatial import KDTree
 
 from dronemon.frames import ground_to_pixel, pixel_to_ground
 from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
-from dronemon.vision.detector import check_size
 from dronemon.vision.prototypes import (
     COAT_COLOURS,
     COAT_SHADES,
@@ -79,7 +78,6 @@ class DrawnDetector:
         """The animals that are wholly in a picture.
 
         image: (height, width, 3) uint8 BGR
-        Raises CameraError if the picture's size is not the camera's.
         """
         detections = []
         for candidate in self.candidates(image, pose, ground_down_m):
@@ -91,7 +89,6 @@ class DrawnDetector:
 
     def candidates(self, image: ImageArray, pose: Pose, ground_down_m: float) -> list[Candidate]:
         """Whatever may be an animal, not named yet; for `detect` and to measure new prototypes."""
-        check_size(image, self._camera)
         height_m = ground_down_m - pose.position_ned_m[2]
         if height_m < _MIN_HEIGHT_M:
             return []

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, softmax
 
-from dronemon.errors import CameraError
+from dronemon.errors import OptionError
 from dronemon.types import LAYOUTS, FloatArray, Layout
 from dronemon.vision.boxes import Boxes
 
@@ -28,19 +28,29 @@ _FEWEST = 10
 """Boxes that every network puts out, at least."""
 
 
-def layout_of(shapes: Sequence[tuple[int, ...]], num_classes: int) -> Layout:
-    """The layout of outputs of these shapes. Raises CameraError if none fits, or several do."""
-    fitting = [layout for layout in LAYOUTS if _fits(layout, shapes, num_classes)]
+def layout_of(
+    shapes: Sequence[tuple[int, ...]], num_classes: int, given: Layout | None = None
+) -> Layout:
+    """The layout of outputs of these shapes: the one given, if it fits.
+
+    Raises OptionError if none fits, or several do.
+    """
+    fitting = [
+        layout
+        for layout in LAYOUTS
+        if given in (None, layout) and _fits(layout, shapes, num_classes)
+    ]
     if len(fitting) == 1:
         return fitting[0]
     told = " and ".join(str(shape) for shape in shapes)
     if fitting:
-        raise CameraError(
+        raise OptionError(
             f"the network's output {told} for {num_classes} classes may be {' or '.join(fitting)}; "
             "say which as detector.layout"
         )
-    raise CameraError(
-        f"the network's output {told} for {num_classes} classes is none of {', '.join(LAYOUTS)}; "
+    raise OptionError(
+        f"the network's output {told} for {num_classes} classes is not "
+        f"{given or 'any of ' + ', '.join(LAYOUTS)}; "
         "are detector.classes all classes that it was trained for, in their order?"
     )
 

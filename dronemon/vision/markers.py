@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
-import math
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
-from dronemon.errors import CameraError
-from dronemon.frames import pixel_to_ground
+from dronemon.errors import OptionError, did_you_mean
+from dronemon.mission.detector import DetectorSection
 from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
-from dronemon.vision.detector import check_size
+from dronemon.vision.project import ground_side_m
 
 _MOST_OFF = 1.5
 """How much larger or smaller than it is a marker may seem: it may lie higher than the ground."""
@@ -26,40 +24,32 @@ FAMILIES: tuple[str, ...] = tuple(
 class MarkerDetector:
     """Finds the markers whose numbers the targets' appearances are."""
 
-    def __init__(
-        self, numbers: Sequence[str], camera: CameraModel, *, family: str, side_m: float | None
-    ) -> None:
-        """family: one of FAMILIES; side_m: of a marker's black square, unchecked for None.
-
-        Raises CameraError for a family that there is not, or a target whose appearance is no number
-        of it.
-        """
-        if family not in FAMILIES:
-            near = difflib.get_close_matches(family, FAMILIES, n=1)
-            raise CameraError(
-                f"there is no set of markers {family!r}; "
-                f"{''.join(f'did you mean {name}? ' for name in near)}"
-                f"there are: {', '.join(FAMILIES)}"
+    def __init__(self, of: DetectorSection, numbers: Sequence[str], camera: CameraModel) -> None:
+        """Raises OptionError for a family or a marker that there is not."""
+        if of.family not in FAMILIES:
+            raise OptionError(
+                f"family {of.family!r}: there is no such set of markers; "
+                f"{did_you_mean(of.family, FAMILIES)}there are: {', '.join(FAMILIES)}"
             )
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _PREFIX + family.upper()))
+        dictionary = cv2.aruco.getPredefinedDictionary(
+            getattr(cv2.aruco, _PREFIX + of.family.upper())
+        )
         count = len(dictionary.bytesList)
         for number in numbers:
-            if not (number.isascii() and number.isdigit() and int(number) < count):
-                raise CameraError(
-                    f"appearance {number!r} is no marker of {family}; give each target the number "
-                    f"of its marker, 0 to {count - 1}"
+            if number not in map(str, range(count)):
+                raise OptionError(
+                    f"appearance {number!r} is no marker of {of.family}; give each target the "
+                    f"number of its marker, 0 to {count - 1}"
                 )
         self._appearances = {int(number): number for number in numbers}
-        self._camera, self._side_m = camera, side_m
+        self._camera, self._side_m = camera, of.side_m
         self._finder = cv2.aruco.ArucoDetector(dictionary)
 
     def detect(self, image: ImageArray, pose: Pose, ground_down_m: float) -> tuple[Detection, ...]:
         """The targets' markers in a picture; a marker is never unsure.
 
         image: (height, width, 3) uint8 BGR
-        Raises CameraError if the picture's size is not the camera's.
         """
-        check_size(image, self._camera)
         corners, numbers, _ = self._finder.detectMarkers(image)
         found = []
         for quad, number in zip(corners, () if numbers is None else numbers.ravel(), strict=True):
@@ -82,6 +72,5 @@ class MarkerDetector:
         """Whether a marker would be about as large as it is, if it lay on the ground."""
         if self._side_m is None:
             return True
-        ground_m = pixel_to_ground(corners_px, self._camera, pose, ground_down_m)
-        area_m2 = cv2.contourArea((ground_m - ground_m[0]).astype(np.float32))
-        return 1.0 / _MOST_OFF < math.sqrt(area_m2) / self._side_m < _MOST_OFF
+        seems_m = ground_side_m(corners_px, self._camera, pose, ground_down_m)
+        return 1.0 / _MOST_OFF < seems_m / self._side_m < _MOST_OFF

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dronemon.errors import CameraError
+from dronemon.errors import CameraError, OptionError
 
 EXTRA = "pip install 'dronemon[detector]'"
 """What installs onnxruntime."""
@@ -39,12 +39,12 @@ class Network(Protocol):
 
 
 def open_network(path: Path) -> Network:
-    """The network of a file. Raises CameraError."""
+    """The network of a file. Raises OptionError."""
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise CameraError(f"{path}: larger than any detector, {_MOST_BYTES // 2**20} MiB")
+            raise OptionError(f"{path}: larger than any detector, {_MOST_BYTES // 2**20} MiB")
     except OSError as exc:
-        raise CameraError(
+        raise OptionError(
             f"{path}: {exc.strerror}; detector.file names an ONNX file, from the mission's folder"
         ) from exc
     try:
@@ -67,7 +67,7 @@ class _OnnxRuntime:
         inputs = self._session.get_inputs()
         if len(inputs) != 1 or len(inputs[0].shape) != 4:
             told = ", ".join(f"{one.name} {one.shape}" for one in inputs)
-            raise CameraError(f"{path}: its inputs are {told}; a detector has one, a picture")
+            raise OptionError(f"{path}: its inputs are {told}; a detector has one, a picture")
         self._input = inputs[0].name
         channels, height, width = (n if isinstance(n, int) else None for n in inputs[0].shape[1:])
         self.shape: Shape = channels, height, width
@@ -100,9 +100,9 @@ class _OpenCv:
             raise _failed(self._path, picture, exc) from exc
 
 
-def _unreadable(path: Path, exc: Exception) -> CameraError:
+def _unreadable(path: Path, exc: Exception) -> OptionError:
     why = re.sub(r"\s+", " ", str(exc))
-    return CameraError(f"{path}: no ONNX file that can be read: {why:.300}")
+    return OptionError(f"{path}: no ONNX file that can be read: {why:.300}")
 
 
 def _failed(path: Path, picture: NDArray[np.float32], exc: Exception) -> CameraError:
@@ -110,7 +110,7 @@ def _failed(path: Path, picture: NDArray[np.float32], exc: Exception) -> CameraE
     why = re.sub(r"\s+", " ", str(exc))
     return CameraError(
         f"{path}: failed on a picture of {width} x {height} pixels and {channels} channels: "
-        f"{why:.300}; does detector.input_px suit the network?"
+        f"{why:.300}"
     )
 
 

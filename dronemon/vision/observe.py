@@ -1,4 +1,4 @@
-"""What the binary sensor says about every target, given the animals found in one picture."""
+"""What the binary sensor says about every target, given what was found in one picture."""
 
 from __future__ import annotations
 

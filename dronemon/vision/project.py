@@ -1,13 +1,15 @@
-"""Pose of the vehicle at the instant of a picture, between two telemetry messages."""
+"""Between picture and ground: the pose at a picture's instant, the size of what is seen."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
-from dronemon.types import FloatArray, Pose, Vector3
+from dronemon.frames import pixel_to_ground
+from dronemon.types import CameraModel, FloatArray, Pose, Vector3
 
 
 def interpolate_pose(before: Pose, after: Pose, time_s: float) -> Pose:
@@ -50,3 +52,14 @@ def _wrapped(angles_rad: FloatArray) -> FloatArray:
 def _vector(values: FloatArray) -> Vector3:
     x, y, z = (float(v) for v in values)
     return x, y, z
+
+
+def ground_side_m(
+    corners_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+) -> float:
+    """Side of the square that covers as much ground as a quadrangle; NaN beyond the horizon.
+
+    corners_px: (4, 2) u, v
+    """
+    ground_m = pixel_to_ground(corners_px, camera, pose, ground_down_m)
+    return math.sqrt(cv2.contourArea((ground_m - ground_m[0]).astype(np.float32)))

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import difflib
-from pathlib import Path
 from typing import Any
 
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, did_you_mean
 from dronemon.mission import Mission
+from dronemon.mission.detector import KINDS
 from dronemon.outside import find_class
-from dronemon.vision.blobs import BlobDetector, Look
-from dronemon.vision.boxed import BoxDetector, BoxSettings
+from dronemon.vision.blobs import BlobDetector
+from dronemon.vision.boxed import BoxDetector
 from dronemon.vision.detector import Detector
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.markers import MarkerDetector
-
-KINDS = ("drawn", "onnx", "markers", "blobs")
 
 
 def make_detector(mission: Mission) -> Detector:
     """Finds the mission's targets in its camera's pictures.
 
-    Raises CameraError for a file, a class or a marker that cannot be used, OptionError for a kind.
+    Raises OptionError for a kind, a file, a class or a marker that cannot be used.
     """
     of, camera = mission.detector, mission.camera.model
     appearances = [target.appearance for target in mission.targets]
@@ -29,47 +26,30 @@ def make_detector(mission: Mission) -> Detector:
         case "drawn":
             return DrawnDetector(appearances, camera, of.min_score)
         case "onnx":
-            assert of.file is not None  # mission_problems
-            settings = BoxSettings(
-                layout=of.layout,
-                classes=of.classes,
-                input_px=of.input_px,
-                tile_px=of.tile_px,
-                min_score=of.min_score,
-                most_shared=of.most_shared,
-            )
-            return BoxDetector(Path(of.file), settings, appearances, camera)
+            return BoxDetector(of, appearances, camera)
         case "markers":
-            return MarkerDetector(appearances, camera, family=of.family, side_m=of.side_m)
+            return MarkerDetector(of, appearances, camera)
         case "blobs":
-            look = Look(
-                hue_deg=of.hue_deg,
-                saturation=of.saturation,
-                brightness=of.brightness,
-                size_m=of.size_m,
-                min_score=of.min_score,
-            )
-            return BlobDetector(appearances[0], camera, look)
+            return BlobDetector(of, appearances[0], camera)
     return _outside(mission, appearances)
 
 
 def _outside(mission: Mission, appearances: list[str]) -> Detector:
     """The detector of a class outside this package."""
-    of = mission.detector
-    if ":" not in of.kind:
-        near = difflib.get_close_matches(of.kind, KINDS, n=1)
+    kind = mission.detector.kind
+    if ":" not in kind:
         raise OptionError(
-            f"there is no detector {of.kind!r}; {''.join(f'did you mean {n}? ' for n in near)}"
+            f"kind {kind!r}: there is no such detector; {did_you_mean(kind, KINDS)}"
             f"there are: {', '.join(KINDS)}, and your own as package.module:Class"
         )
-    make = find_class(of.kind, "detector")
+    make = find_class(kind, "detector")
     try:
-        detector: Any = make(appearances, mission.camera.model, of.min_score)
+        detector: Any = make(appearances, mission.camera.model, mission.detector.min_score)
     except (Exception, SystemExit) as exc:  # a class of others may fail in any way
         raise OptionError(
-            f"detector {of.kind!r} cannot be made from appearances, camera and least score: {exc!r}"
+            f"detector {kind!r} cannot be made from appearances, camera and least score: {exc!r}"
         ) from exc
     if not callable(getattr(detector, "detect", None)):
-        raise OptionError(f"detector {of.kind!r} has no detect; see docs/detectors.md")
+        raise OptionError(f"detector {kind!r} has no detect; see docs/detectors.md")
     found: Detector = detector
     return found

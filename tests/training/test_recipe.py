@@ -53,7 +53,7 @@ def test_the_networks_of_table_2_differ_in_one_thing_alone() -> None:
     whole, blind, lstm = map(load_recipe, ("table2", "table2-no-predictions", "table2-lstm"))
     assert replace(blind, network=replace(blind.network, predictions=True)) == whole
     assert replace(lstm, network=replace(lstm.network, temporal="attention")) == whole
-    assert whole.network == NetworkConfig(width=64, feed_forward=128)
+    assert whole.network == NetworkConfig(width=64, feed_forward=128, ways=True)
 
 
 @pytest.mark.parametrize(

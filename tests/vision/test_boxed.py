@@ -5,35 +5,32 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from squares import SIDE_PX, write_squares
+from squares import SIDE_PX, draw_squares, write_squares
 
-from dronemon.errors import CameraError
+from dronemon.errors import OptionError
+from dronemon.mission.detector import DetectorSection
 from dronemon.types import LAYOUTS, CameraModel, ImageArray, Layout, Pose
-from dronemon.vision.boxed import BoxDetector, BoxSettings
+from dronemon.vision.boxed import BoxDetector
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
-LEVEL = Pose(
-    time_s=0.0,
-    position_ned_m=(0.0, 0.0, -30.0),
-    velocity_ned_m_s=(0.0, 0.0, 0.0),
-    attitude_rad=(0.0, 0.0, 0.0),
-)
-TOLD = BoxSettings(classes=("red", "blue"), input_px=(320, 320), most_shared=0.3)
-BGR = {"red": (20, 20, 240), "blue": (240, 20, 20)}
+LEVEL = Pose.level(30.0)
+TOLD: dict[str, Any] = {"classes": ("red", "blue"), "input_px": (320, 320), "most_shared": 0.3}
 
 
 def picture(
     *squares: tuple[str, int, int], side_px: int, camera: CameraModel = CAMERA
 ) -> ImageArray:
-    """Grey, with squares: colour, and u, v of the centre."""
-    image = np.full((camera.height_px, camera.width_px, 3), 90, np.uint8)
-    half = side_px // 2
-    for colour, u, v in squares:
-        image[v - half : v + half, u - half : u + half] = BGR[colour]
-    return image
+    return draw_squares((camera.width_px, camera.height_px), side_px, *squares)
+
+
+def detector_of(
+    path: Path, watched: tuple[str, ...] = ("red",), camera: CameraModel = CAMERA, **settings: Any
+) -> BoxDetector:
+    return BoxDetector(DetectorSection(kind="onnx", file=str(path), **settings), watched, camera)
 
 
 def found(detector: BoxDetector, image: ImageArray) -> list[tuple[str, float, float]]:
@@ -49,8 +46,7 @@ def without_onnxruntime(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_finds_squares_where_they_are(layout: Layout, tmp_path: Path) -> None:
     path = write_squares(tmp_path / "eyes.onnx", layout)
-    settings = BoxSettings(layout=layout, most_shared=0.3)
-    detector = BoxDetector(path, settings, ["red", "blue"], CAMERA)
+    detector = detector_of(path, ("red", "blue"), layout=layout, most_shared=0.3)
     # Half as large in the input, 40 rows of grey above it.
     image = picture(("red", 120, 104), ("blue", 600, 440), side_px=2 * SIDE_PX)
     (blue, *blue_px), (red, *red_px) = found(detector, image)
@@ -61,7 +57,7 @@ def test_every_layout_finds_squares_where_they_are(layout: Layout, tmp_path: Pat
 @pytest.mark.usefixtures("without_onnxruntime")
 def test_opencv_reads_what_onnxruntime_would(tmp_path: Path) -> None:
     path = write_squares(tmp_path / "eyes.onnx")
-    detector = BoxDetector(path, TOLD, ["red"], CAMERA)
+    detector = detector_of(path, **TOLD)
     image = picture(("red", 120, 104), ("blue", 600, 440), side_px=2 * SIDE_PX)
     assert found(detector, image) == [("red", 120.0, 104.0)]
 
@@ -72,8 +68,7 @@ def test_small_things_in_large_pictures_are_found_in_tiles(tmp_path: Path) -> No
     # The second lies across the edges of tiles that begin every 256 pixels.
     image = picture(("red", 60, 52), ("red", 268, 268), side_px=SIDE_PX, camera=camera)
     whole, tiled = (
-        BoxDetector(path, BoxSettings(most_shared=0.2, tile_px=side), ["red"], camera)
-        for side in (None, 320)
+        detector_of(path, camera=camera, most_shared=0.2, tile_px=side) for side in (None, 320)
     )
     assert found(whole, image) == []
     places = [place for _, *place in found(tiled, image)]
@@ -82,7 +77,7 @@ def test_small_things_in_large_pictures_are_found_in_tiles(tmp_path: Path) -> No
 
 def test_a_thermal_network_is_shown_grey(tmp_path: Path) -> None:
     path = write_squares(tmp_path / "eyes.onnx", is_grey=True, names=["warm", "cold"])
-    detector = BoxDetector(path, BoxSettings(min_score=0.8, most_shared=0.3), ["warm"], CAMERA)
+    detector = detector_of(path, ("warm",), min_score=0.8, most_shared=0.3)
     image = picture(side_px=0)
     image[80:128, 96:144] = 255
     assert found(detector, image) == [("warm", 120.0, 104.0)]
@@ -90,33 +85,32 @@ def test_a_thermal_network_is_shown_grey(tmp_path: Path) -> None:
 
 def test_only_sure_finds_of_watched_classes_count(tmp_path: Path) -> None:
     path = write_squares(tmp_path / "eyes.onnx")
-    detector = BoxDetector(path, BoxSettings(most_shared=0.3), ["red"], CAMERA)
+    detector = detector_of(path, most_shared=0.3)
     image = picture(("blue", 600, 440), side_px=2 * SIDE_PX)
     image[80:128, 96:144] = (60, 60, 160)  # reddish: 0.39
     assert found(detector, image) == []
-    unsure = BoxDetector(path, BoxSettings(min_score=0.35, most_shared=0.3), ["red"], CAMERA)
+    unsure = detector_of(path, min_score=0.35, most_shared=0.3)
     assert found(unsure, image) == [("red", 120.0, 104.0)]
 
 
-WRONG = {
-    "has no class 'rde'; did you mean 'red'": (BoxSettings(), ["rde"]),
-    "its input is 320 x 320 pixels, detector.input_px says 640 x 640": (
-        BoxSettings(input_px=(640, 640)),
-        ["red"],
+WRONG: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    r"eyes\.onnx: has no class 'rde'; did you mean red": (("rde",), {}),
+    r"eyes\.onnx: its input is 320 x 320 pixels, detector.input_px says 640 x 640": (
+        ("red",),
+        {"input_px": (640, 640)},
     ),
-    "is none of yolov5.*detector.classes": (
-        BoxSettings(classes=("red", "blue", "green")),
-        ["red"],
-    ),
+    r"is not any of yolov5, .*detector.classes": (("red",), {"classes": ("red", "blue", "green")}),
+    r"is not detr; are detector.classes": (("red",), {"layout": "detr"}),
+    r"is not yolov5; are detector.classes": (("red",), {"layout": "yolov5"}),
 }
 
 
 @pytest.mark.parametrize("message", WRONG)
 def test_what_does_not_fit_the_file_is_told_at_once(message: str, tmp_path: Path) -> None:
-    settings, watched = WRONG[message]
+    watched, settings = WRONG[message]
     path = write_squares(tmp_path / "eyes.onnx")
-    with pytest.raises(CameraError, match=rf"eyes\.onnx.*{message}|{message}"):
-        BoxDetector(path, settings, watched, CAMERA)
+    with pytest.raises(OptionError, match=message):
+        detector_of(path, watched, **settings)
 
 
 @pytest.mark.parametrize("has_onnxruntime", [True, False])
@@ -135,22 +129,16 @@ def test_a_file_that_is_none_is_told(
             path.write_bytes(whole[: len(whole) // 2])
         case "none":
             path.unlink()
-    with pytest.raises(CameraError, match=r"eyes\.onnx: (no ONNX file|No such file)"):
-        BoxDetector(path, TOLD, ["red"], CAMERA)
+    with pytest.raises(OptionError, match=r"eyes\.onnx: (no ONNX file|No such file)"):
+        detector_of(path, **TOLD)
 
 
 @pytest.mark.usefixtures("without_onnxruntime")
 def test_without_onnxruntime_the_mission_must_say_what_the_file_does(tmp_path: Path) -> None:
     path = write_squares(tmp_path / "eyes.onnx")
-    with pytest.raises(CameraError, match=r"detector.input_px.*dronemon\[detector\]"):
-        BoxDetector(path, BoxSettings(classes=("red", "blue")), ["red"], CAMERA)
-    with pytest.raises(CameraError, match=r"detector.classes.*dronemon\[detector\]"):
-        BoxDetector(path, BoxSettings(input_px=(320, 320)), ["red"], CAMERA)
-    with pytest.raises(CameraError, match=r"failed on a picture of 8 x 8.*input_px"):
-        BoxDetector(path, BoxSettings(classes=("red", "blue"), input_px=(8, 8)), ["red"], CAMERA)
-
-
-def test_a_picture_of_another_size_is_refused(tmp_path: Path) -> None:
-    detector = BoxDetector(write_squares(tmp_path / "e.onnx"), BoxSettings(), ["red"], CAMERA)
-    with pytest.raises(CameraError, match="camera section"):
-        detector.detect(np.zeros((64, 64, 3), np.uint8), LEVEL, 0.0)
+    with pytest.raises(OptionError, match=r"detector.input_px.*dronemon\[detector\]"):
+        detector_of(path, classes=("red", "blue"))
+    with pytest.raises(OptionError, match=r"detector.classes.*dronemon\[detector\]"):
+        detector_of(path, input_px=(320, 320))
+    with pytest.raises(OptionError, match=r"failed on a picture of 32 x 32.*input_px"):
+        detector_of(path, classes=("red", "blue"), input_px=(32, 32))

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from dronemon.errors import CameraError
 from dronemon.frames import AreaFrame, pixel_to_ground
 from dronemon.types import APPEARANCES, CameraModel, Pose
 from dronemon.vision.drawn import DrawnDetector
@@ -177,12 +176,6 @@ def test_landed_vehicle_detects_nothing(detector, renderer):
 def test_view_over_the_horizon_is_no_problem(detector, renderer):
     scene = scene_of(animal_at("cow", 20.0, 0.0), attitude=(0.0, 0.9, 0.0))
     assert detect(detector, renderer, scene).keys() <= {"cow"}
-
-
-def test_picture_of_another_size_is_an_error(detector):
-    pose = scene_of().pose
-    with pytest.raises(CameraError, match="does the mission's camera section"):
-        detector.detect(np.zeros((720, 1280, 3), np.uint8), pose, GROUND_DOWN_M)
 
 
 def test_unknown_appearance_is_an_error():

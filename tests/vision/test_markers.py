@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from dronemon.errors import CameraError
+from dronemon.errors import OptionError
 from dronemon.frames import ground_to_pixel
+from dronemon.mission.detector import DetectorSection
 from dronemon.types import CameraModel, ImageArray, Pose
 from dronemon.vision.markers import FAMILIES, MarkerDetector
 
@@ -50,9 +51,15 @@ def picture(at_m: dict[int, tuple[float, float]], side_m: float = SIDE_M) -> Ima
     return image
 
 
+def detector_of(
+    *numbers: str, family: str = FAMILY, side_m: float | None = SIDE_M
+) -> MarkerDetector:
+    return MarkerDetector(DetectorSection(family=family, side_m=side_m), numbers, CAMERA)
+
+
 def test_markers_are_found_on_the_ground_where_they_lie() -> None:
     at_m = {7: (8.0, -5.0), 42: (2.0, -1.0), 9: (5.0, -7.0)}
-    detector = MarkerDetector(["42", "7"], CAMERA, family=FAMILY, side_m=SIDE_M)
+    detector = detector_of("42", "7")
     found = {d.appearance: d.pixel_px for d in detector.detect(picture(at_m), pose(), 0.0)}
     assert set(found) == {"42", "7"}
     for number, pixel_px in found.items():
@@ -62,17 +69,17 @@ def test_markers_are_found_on_the_ground_where_they_lie() -> None:
 
 @pytest.mark.parametrize(("said_m", "count"), [(SIDE_M, 1), (0.6 * SIDE_M, 0), (None, 1)])
 def test_a_marker_of_another_size_is_none(said_m: float | None, count: int) -> None:
-    detector = MarkerDetector(["7"], CAMERA, family=FAMILY, side_m=said_m)
+    detector = detector_of("7", side_m=said_m)
     assert len(detector.detect(picture({7: (5.0, -3.0)}), pose(), 0.0)) == count
 
 
-@pytest.mark.parametrize("number", ["cow", "-1", "587", "1.5", "٣"])
+@pytest.mark.parametrize("number", ["cow", "-1", "587", "1.5", "07", "٣"])
 def test_what_is_no_marker_of_the_family_is_told(number: str) -> None:
-    with pytest.raises(CameraError, match=r"no marker of apriltag_36h11.*0 to 586"):
-        MarkerDetector([number], CAMERA, family=FAMILY, side_m=None)
+    with pytest.raises(OptionError, match=r"no marker of apriltag_36h11.*0 to 586"):
+        detector_of(number)
 
 
 def test_a_family_that_there_is_not_is_told() -> None:
     assert FAMILY in FAMILIES
-    with pytest.raises(CameraError, match="did you mean apriltag_36h11"):
-        MarkerDetector(["1"], CAMERA, family="apriltag_36h12", side_m=None)
+    with pytest.raises(OptionError, match="did you mean apriltag_36h11"):
+        detector_of("1", family="apriltag_36h12")

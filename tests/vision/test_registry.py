@@ -75,24 +75,32 @@ def test_every_example_of_the_page_makes_a_detector(
     appearance = APPEARANCES.get(example["kind"], "lamp")
     detector = detector_of(folder, example, appearance)
     image = np.zeros((480, 640, 3), np.uint8)
-    assert detector.detect(image, level(), 0.0) == ()
+    assert detector.detect(image, Pose.level(45.0), 0.0) == ()
 
 
 def test_the_pages_detector_finds_the_lamp(folder: Path) -> None:
     image: ImageArray = np.full((480, 640, 3), 40, np.uint8)
     image[100, 200] = 255
-    (found,) = detector_of(folder, EXAMPLES[-1], "lamp").detect(image, level(), 0.0)
+    (found,) = detector_of(folder, EXAMPLES[-1], "lamp").detect(image, Pose.level(45.0), 0.0)
     assert (found.appearance, found.pixel_px, found.score) == ("lamp", (200.5, 100.5), 1.0)
 
 
 @pytest.mark.parametrize(
     ("detector", "appearance", "words"),
     [
-        ({"kind": "onnx", "file": "eyes.onnx"}, "zebre", r"detector.file: .*did you mean 'zebra'"),
-        ({"kind": "markers"}, "cow", r"detector.family: appearance 'cow' is no marker"),
-        ({"kind": "markers", "family": "4x4"}, "1", r"detector.family: .*did you mean 4x4_50"),
-        ({"kind": "onxx"}, "cow", r"detector.kind: there is no detector 'onxx'; did you mean onnx"),
-        ({"kind": "nowhere:Eye"}, "cow", r"detector.kind: .*module nowhere cannot be imported"),
+        (
+            {"kind": "onnx", "file": "eyes.onnx"},
+            "zebre",
+            r"detector: .*has no class 'zebre'; did you mean zebra",
+        ),
+        ({"kind": "markers"}, "cow", r"detector: appearance 'cow' is no marker"),
+        ({"kind": "markers", "family": "4x4"}, "1", r"detector: family .*did you mean 4x4_50"),
+        (
+            {"kind": "onxx"},
+            "cow",
+            r"detector: kind 'onxx': there is no .*you mean onnx",
+        ),
+        ({"kind": "nowhere:Eye"}, "cow", r"detector: .*module nowhere cannot be imported"),
         ({"kind": "wrong_detectors:Deaf"}, "cow", r"no class Deaf; its classes are: Blind, Dem"),
         ({"kind": "wrong_detectors:Blind"}, "cow", r"has no detect; see docs/detectors.md"),
         ({"kind": "wrong_detectors:Demanding"}, "cow", r"cannot be made from appearances"),
@@ -108,12 +116,3 @@ def test_a_detector_that_will_not_do_is_told_before_anything_starts(
 ) -> None:
     with pytest.raises(MissionFileError, match=words):
         detector_of(folder, detector, appearance)
-
-
-def level() -> Pose:
-    return Pose(
-        time_s=0.0,
-        position_ned_m=(0.0, 0.0, -45.0),
-        velocity_ned_m_s=(0.0, 0.0, 0.0),
-        attitude_rad=(0.0, 0.0, 0.0),
-    )
