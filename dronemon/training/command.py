@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from dronemon.errors import OptionError
 from dronemon.terminal import LenientConsole
+from dronemon.training.peers import join_peers
 from dronemon.training.recipe import load_recipe
 from dronemon.training.train import METRICS, Listener, Plan, train
 from dronemon.workers import num_cores
@@ -85,22 +86,20 @@ def train_command(
             minutes=minutes if minutes is not None else 60.0,
             iterations=iterations,
             seed=seed,
-            device=device,
             num_workers=workers if workers is not None else num_cores(),
             validation_minutes=validation_minutes,
             validation_episodes=validation_episodes,
         )
         for name in names
     ]
-    _keep_freed_memory()
-    if "WORLD_SIZE" in os.environ:
-        torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
-    console = LenientConsole(quiet=os.environ.get("RANK", "0") != "0")
-    for plan in plans:
-        with _display(console) as display:
-            best = train(plan, command=_command(), listen=display)
-        if best.exists():
-            console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
+    _set_up_process()
+    with join_peers(device) as peers:  # once: processes that part do not find each other again
+        console = LenientConsole(quiet=not peers.is_first)
+        for plan in plans:
+            with _display(console) as display:
+                best = train(plan, peers, command=_command(), listen=display)
+            if best.exists():
+                console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
 
 
 def _names(recipes: str) -> list[str]:
@@ -121,8 +120,13 @@ def _command() -> str:
     return " ".join([program, *sys.argv[1:]])
 
 
-def _keep_freed_memory() -> None:
-    """Have glibc keep what is freed; fetching each large tensor anew would cost a third more."""
+def _set_up_process() -> None:
+    """Give this process its share of the cores, and have glibc keep what is freed.
+
+    Fetching each large tensor anew would cost a third more.
+    """
+    if "WORLD_SIZE" in os.environ:
+        torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["WORLD_SIZE"])))
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):
         libc.mallopt(_M_MMAP_MAX, 0)

@@ -35,7 +35,7 @@ from dronemon.policy import (
 )
 from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.training.imitation import Expert
-from dronemon.training.peers import Peers, join_peers
+from dronemon.training.peers import Peers
 from dronemon.training.ppo import Ppo, PpoConfig
 from dronemon.training.recipe import Recipe
 from dronemon.training.validation import validate
@@ -93,7 +93,6 @@ class Plan:
     minutes: float = 60.0
     iterations: int | None = None
     seed: int = 0
-    device: str = "auto"
     num_workers: int = field(default_factory=num_cores)
     validation_minutes: float = 14.0
     validation_episodes: int = 32
@@ -116,24 +115,25 @@ class _Run:
     curve: list[dict[str, float]] = field(default_factory=list)
 
 
-def train(plan: Plan, *, command: str, listen: Listener) -> Path:
+def train(plan: Plan, peers: Peers, *, command: str, listen: Listener) -> Path:
     """Train, or go on with the run in `plan.out`. -> path of the best checkpoint.
 
+    peers: the processes that train together, of which each calls this
+
     Raises CheckpointMismatch if `plan.out` holds a run of another plan, or the start is unusable;
-    OptionError if there is no such device; RecordError if `plan.out` cannot be written.
+    RecordError if `plan.out` cannot be written.
     """
     code_version()  # for the card: the files may change while it trains
-    with join_peers(plan.device) as peers:
-        _claim(plan.out)
-        training = _Training(plan, command, peers)
+    _claim(plan.out)
+    training = _Training(plan, command, peers)
+    if peers.is_first:
+        (plan.out / "recipe.yaml").write_text(plan.recipe.text, encoding="utf-8")
+    while training.progress < 1.0:
+        metrics = training.iterate()
         if peers.is_first:
-            (plan.out / "recipe.yaml").write_text(plan.recipe.text, encoding="utf-8")
-        while training.progress < 1.0:
-            metrics = training.iterate()
-            if peers.is_first:
-                training.record(metrics)
-                listen(training.progress, metrics)
-        return training.best
+            training.record(metrics)
+            listen(training.progress, metrics)
+    return training.best
 
 
 class _Training:

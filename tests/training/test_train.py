@@ -23,10 +23,12 @@ from dronemon.errors import CheckpointMismatch, OptionError
 from dronemon.policy import NetworkConfig, load_checkpoint, read_tensors
 from dronemon.training.command import train_command
 from dronemon.training.imitation import ExpertConfig
+from dronemon.training.peers import Peers
 from dronemon.training.ppo import PpoConfig
 from dronemon.training.recipe import Recipe, load_recipe
 from dronemon.training.train import METRICS, Plan, train
 
+ALONE = Peers(device=torch.device("cpu"))
 SMALL = NetworkConfig(
     width=16, num_heads=2, feed_forward=24, newest=True, ways=True, geometry=True, tracks=True
 )
@@ -66,7 +68,6 @@ def make_plan(out: Path, **changes: object) -> Plan:
         out=out,
         recipe=RECIPES["ppo"],
         minutes=1e6,
-        device="cpu",
         num_workers=1,
         validation_minutes=0.0,
         validation_episodes=1,
@@ -85,7 +86,7 @@ def run(plan: Plan, iterations: int) -> None:
             raise Stop
 
     with pytest.raises(Stop):
-        train(plan, command="test", listen=listen)
+        train(plan, ALONE, command="test", listen=listen)
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +158,7 @@ def test_a_run_can_begin_with_other_weights(first_iteration: Path, tmp_path: Pat
     with pytest.raises(CheckpointMismatch, match="its width is 16, not 32"):
         train(
             make_plan(tmp_path / "third", start=start, recipe=wider),
+            ALONE,
             command="test",
             listen=lambda *_: None,
         )
@@ -240,7 +242,7 @@ def test_a_budget_of_iterations_does_not_ask_the_clock(
     shares: list[float] = []
     plan = make_plan(tmp_path, minutes=0.1, iterations=3, validation_minutes=1e6)
     for _ in range(2):  # the second time nothing is left to do
-        train(plan, command="test", listen=lambda share, _: shares.append(share))
+        train(plan, ALONE, command="test", listen=lambda share, _: shares.append(share))
     assert shares == pytest.approx([2 / 3, 1.0])
     rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
     assert ["val_unc" in row for row in rows] == [True, False, True]
@@ -275,11 +277,18 @@ def test_two_minutes_of_training_improve_the_reward(
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_two_processes_train_one_network(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
+def test_two_processes_train_one_network_and_then_another(tmp_path: Path) -> None:
     recipe = write_recipe(tmp_path, SLIM.replace("iteration: 2", "iteration: 4"))
-    command += ["2", "-m", "dronemon.training", "--recipe", str(recipe), "--device", "cpu"]
-    command += ["--out", str(tmp_path), "--minutes", "0.3", "--validation-episodes", "1"]
+    (tmp_path / "second.yaml").write_text(recipe.read_text())
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
+    command += ["2", "-m", "dronemon.training", "--recipe", f"{recipe},{tmp_path}/second.yaml"]
+    command += ["--device", "cpu", "--out", str(tmp_path / "out"), "--iterations", "2"]
+    command += ["--validation-episodes", "1"]
     assert subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 0
-    row = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[0])
-    assert row["decisions"] == 64
+    runs = [tmp_path / "out" / path.stem for path in (recipe, tmp_path / "second.yaml")]
+    first, second = (
+        [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+        for run in runs
+    )
+    assert [row["decisions"] for row in first] == [64, 64]
+    assert [row["unc"] for row in second] == [row["unc"] for row in first]
