@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Annotated, TextIO
 
@@ -16,12 +16,13 @@ import typer
 
 from dronemon.camera import check_size
 from dronemon.camera.pictures import pictures_of
-from dronemon.errors import CameraError, OptionError, blaming, writing
+from dronemon.errors import CameraError, OptionError, writing
 from dronemon.flight_options import DEFAULT_MISSION
 from dronemon.mission import Mission, find_mission, load_mission
 from dronemon.palette import target_rgb
 from dronemon.terminal import console, print_path
 from dronemon.types import Detection, ImageArray, Pose
+from dronemon.vision.detector import look
 from dronemon.vision.marks import marked, write_picture
 from dronemon.vision.registry import make_detector
 
@@ -58,23 +59,35 @@ def detect_command(
 ) -> None:
     """Try a mission's detector on pictures, and see how long it takes for one."""
     flown = load_mission(find_mission(mission)).mission
-    if out is not None and out.resolve() in (Path(source).resolve(), Path(source).parent.resolve()):
+    lie = Path(source) if Path(source).is_dir() else Path(source).parent
+    if out is not None and out.resolve() == lie.resolve():
         raise OptionError(f"--out {out}: is where the pictures are; name another folder")
     detector, pose = make_detector(flown), Pose.level(height_m or flown.flight.altitude_m)
+    pictures = islice(pictures_of(source), 0, None, every)
+    first = next(pictures)  # before anything is written
     took_s, found_in = list[float](), Counter[str]()
     with ExitStack() as stack:
         keeper = stack.enter_context(_keeper(out, flown)) if out is not None else None
-        for name, image in islice(pictures_of(source), 0, None, every):
-            with _naming(name), blaming("the detector", CameraError):
+        stack.callback(_sum_up, took_s, found_in)
+        for name, image in chain([first], pictures):
+            with _naming(name):
                 check_size(image, flown.camera.model)
                 began_s = time.perf_counter()
-                found = tuple(detector.detect(image, pose, 0.0))
+                found = look(detector, image, pose, 0.0)
                 took_s.append(time.perf_counter() - began_s)
-                found_in.update({detection.appearance for detection in found})
-                told = ", ".join(f"{d.appearance} {d.score:.2f}" for d in found)
+            found_in.update({detection.appearance for detection in found})
+            told = ", ".join(f"{d.appearance} {d.score:.2f}" for d in found)
             console.print(f"{name}: {told or 'nothing'}", soft_wrap=True, markup=False)
             if keeper is not None:
                 keeper.keep(name, image, found)
+    if out is not None:
+        print_path(out)
+
+
+def _sum_up(took_s: Sequence[float], found_in: Counter[str]) -> None:
+    """Say what came of all pictures, also where the last could not be looked at."""
+    if not took_s:
+        return
     seen = ", ".join(f"{name} in {number}" for name, number in sorted(found_in.items()))
     median_s, most_s = np.quantile(took_s[1:] or took_s, (0.5, 0.95))
     console.print(
@@ -83,8 +96,6 @@ def detect_command(
         soft_wrap=True,
         markup=False,
     )
-    if out is not None:
-        print_path(out)
 
 
 @contextmanager
@@ -100,7 +111,7 @@ class _Keeper:
     """Writes marked pictures into a folder, and a table of all finds."""
 
     def __init__(self, path: Path, table: TextIO, mission: Mission) -> None:
-        self._path = path
+        self._path, self._table = path, table
         self._rows = csv.writer(table)
         self._write_rows([COLUMNS])
         self._rgb = {t.appearance: target_rgb(i) for i, t in enumerate(mission.targets)}
@@ -118,12 +129,15 @@ class _Keeper:
     def _write_rows(self, rows: Iterable[Sequence[str]]) -> None:
         with writing("--out", self._path):
             self._rows.writerows(rows)
+            self._table.flush()
 
 
 @contextmanager
 def _keeper(folder: Path, mission: Mission) -> Iterator[_Keeper]:
     path = folder / "detections.csv"
+    if path.exists():
+        raise OptionError(f"--out {folder}: has a table already; name another folder")
     with writing("--out", path):
-        table = path.open("w", encoding="utf-8", newline="")
+        table = path.open("x", encoding="utf-8", errors="backslashreplace", newline="")
     with table:
         yield _Keeper(path, table, mission)

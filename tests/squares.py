@@ -22,9 +22,11 @@ SIDE_PX, _STEP_PX = 24, 8
 class Squares(nn.Module):
     """Looks for squares of SIDE_PX; how much of one is of a colour is its score."""
 
-    def __init__(self, layout: str, size_px: tuple[int, int], *, is_grey: bool = False) -> None:
+    def __init__(
+        self, layout: str, size_px: tuple[int, int], *, is_grey: bool = False, gain: float = 1.0
+    ) -> None:
         super().__init__()
-        self._layout, self._is_grey = layout, is_grey
+        self._layout, self._is_grey, self._gain = layout, is_grey, gain
         across, down = (
             torch.arange(0, length - SIDE_PX + 1, _STEP_PX) + SIDE_PX / 2 for length in size_px
         )
@@ -41,13 +43,15 @@ class Squares(nn.Module):
         else:
             red, green, blue = means.chunk(3, dim=1)
             colours = torch.cat([red - 0.5 * (green + blue), blue - 0.5 * (red + green)], dim=1)
-        chances = colours.flatten(2).transpose(1, 2).clamp(1e-4, 1.0 - 1e-4)  # (1, n, 2)
+        chances = colours.flatten(2).transpose(1, 2).clamp(1e-4, 1.0 - 1e-4)
+        chances = self._gain * chances  # (1, n, 2)
         match self._layout:
             case "yolov5":
                 things = torch.ones_like(chances[..., :1])
                 return torch.cat([self.places, things, chances], dim=2)
             case "yolov8":
-                return torch.cat([self.places, chances], dim=2).transpose(1, 2)
+                places = self.places.expand(len(chances), -1, -1)
+                return torch.cat([places, chances], dim=2).transpose(1, 2)
             case "yolov10":
                 centres, half = self.places[..., :2], 0.5 * self.places[..., 2:]
                 score, number = chances.max(dim=2, keepdim=True)
@@ -64,10 +68,15 @@ def write_squares(
     *,
     is_grey: bool = False,
     names: object = dict(enumerate(CLASSES)),
+    batch: int = 1,
+    gain: float = 1.0,
 ) -> Path:
-    """Write such a network's file. names: what its metadata says of its classes, None for none"""
-    network = Squares(layout, size_px, is_grey=is_grey).eval()
-    picture = torch.zeros(1, 1 if is_grey else 3, *size_px[::-1])
+    """Write such a network's file.
+
+    names: what its metadata says of its classes, None for none; gain: of its scores
+    """
+    network = Squares(layout, size_px, is_grey=is_grey, gain=gain).eval()
+    picture = torch.zeros(batch, 1 if is_grey else 3, *size_px[::-1])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # torch's newer exporter takes a hundred times as long
         torch.onnx.export(network, (picture,), path, dynamo=False, input_names=["images"])

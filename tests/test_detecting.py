@@ -107,6 +107,27 @@ def test_a_folder_that_cannot_be_written_is_named(mission: str, tmp_path: Path) 
         detect_command(str(tmp_path / "a.png"), mission, tmp_path / "file")
 
 
+def test_a_table_that_is_there_stays(mission: str, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), picture(("red", 60, 60)))
+    detect_command(str(tmp_path / "a.png"), mission, tmp_path / "out")
+    table = (tmp_path / "out" / "detections.csv").read_text()
+    for source, words in (("a.png", "has a table already"), ("nowhere", "no picture, folder")):
+        with pytest.raises(DronemonError, match=words):
+            detect_command(str(tmp_path / source), mission, tmp_path / "out")
+    assert (tmp_path / "out" / "detections.csv").read_text() == table
+
+
+def test_what_came_of_the_others_is_told_where_one_is_no_picture(
+    mission: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), picture(("red", 60, 60)))
+    cv2.imwrite(str(tmp_path / "b.png"), np.full((320, 320), 7000, np.uint16))
+    (tmp_path / "._a.png").write_text("what some systems leave")
+    with pytest.raises(CameraError, match=r"b\.png: has uint16 values"):
+        detect_command(str(tmp_path), mission)
+    assert "1 pictures: red in 1; " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("source", ["pictures", "pictures/a.png"])
 def test_copies_do_not_go_where_the_pictures_are(mission: str, tmp_path: Path, source: str) -> None:
     (tmp_path / "pictures").mkdir()

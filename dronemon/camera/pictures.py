@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,7 +26,9 @@ def pictures_of(source: str) -> Iterator[tuple[str, ImageArray]]:
     """
     path = Path(source)
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+        files = sorted(
+            f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.name[0] != "."
+        )
         if not files:
             raise CameraError(
                 f"{source}: no pictures in it; read are {', '.join(sorted(SUFFIXES))}"
@@ -42,16 +45,21 @@ def _read(path: Path) -> ImageArray:
     """A picture as it is stored: a camera's, which no flag has turned upright."""
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+        image = cv2.imdecode(data, flags)
     except (OSError, cv2.error) as exc:
         raise CameraError(f"{path}: cannot be read: {exc}") from exc
     if image is None:
         raise CameraError(f"{path}: is no picture that can be read")
+    if image.dtype != np.uint8:
+        raise CameraError(
+            f"{path}: has {image.dtype} values; make them 8 bits, as a stream has them"
+        )
     return np.asarray(image, np.uint8)
 
 
 def _frames(source: str) -> Iterator[tuple[str, ImageArray]]:
-    video = open_video(int(source) if source.isdigit() else source, _TIMEOUT_MS)
+    video = open_video(int(source) if re.fullmatch("[0-9]{1,5}", source) else source, _TIMEOUT_MS)
     try:
         number, (is_read, image) = 0, video.read()
         if not is_read:

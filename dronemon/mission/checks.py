@@ -73,6 +73,10 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
         yield ("detector", "file"), "is missing; name the network's ONNX file"
     if detector.kind == "blobs" and len(mission.targets) > 1:
         yield ("detector", "kind"), "blobs look alike, so there can be one target only"
+    if detector.kind == "blobs" and not (
+        detector.hue_deg or detector.saturation or detector.brightness
+    ):
+        yield ("detector", "kind"), "anything is a blob; give hue_deg, saturation or brightness"
     for index, target in enumerate(mission.targets):
         name = target.appearance
         if (detector.kind == "drawn" or mission.camera.is_simulated) and name not in APPEARANCES:

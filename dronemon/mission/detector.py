@@ -71,3 +71,10 @@ class DetectorSection(Section):
         if size_m[0] > size_m[1]:
             raise ValueError(f"is {list(size_m)}; the least comes first")
         return size_m
+
+    @field_validator("hue_deg")
+    @classmethod
+    def _is_a_part(cls, hue_deg: tuple[float, float] | None) -> tuple[float, float] | None:
+        if hue_deg is not None and (hue_deg[1] - hue_deg[0]) % 360.0 == 0.0:
+            raise ValueError(f"is {list(hue_deg)}, one hue alone; leave it out for any")
+        return hue_deg

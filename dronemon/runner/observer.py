@@ -15,10 +15,11 @@ from dronemon.events import Believed, EventStream, Measured, Pictured
 from dronemon.frames import AreaFrame
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.preparation import FlightSetup, make_belief
+from dronemon.runner.preparation import LOOK_LIMIT_S, FlightSetup, make_belief
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
+from dronemon.vision.detector import look
 from dronemon.vision.observe import observe, sighting_error_m
 from dronemon.vision.project import interpolate_pose
 
@@ -28,8 +29,6 @@ _BLIND_PICTURES = 3
 """... and number of pictures that must have failed by then."""
 _MAX_PENDING = 8
 """Pictures that wait to be looked at; while there are so many, none is taken."""
-_LOOK_LIMIT_S = 3.0
-"""Wall time for the detector."""
 
 
 class Observer:
@@ -136,9 +135,9 @@ class Observer:
         tally = self.tally
         assert tally is not None  # pictures are asked for only once the patrol has begun
         time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
-        look = partial(self._detect, picture, pose, time_au)
+        detect = partial(self._detect, picture, pose, time_au)
         detections, measurement, score = await in_daemon_thread(
-            look, "the detector", CameraError, _LOOK_LIMIT_S
+            detect, "the detector", CameraError, LOOK_LIMIT_S
         )
         stretch, number = tally.stretch(picture.time_s), len(self.belief.sightings) + 1
         self._events.emit(
@@ -176,8 +175,8 @@ class Observer:
         self, picture: Picture, pose: Pose, time_au: float
     ) -> tuple[tuple[Detection, ...], Measurement, FloatArray]:
         """What the detector finds, what that says of the targets, (N,) how surely. In a thread."""
-        find, ground_down_m = self._setup.detector.detect, self._frame.ground_down_m
-        detections = tuple(find(picture.image, pose, ground_down_m))
+        ground_down_m = self._frame.ground_down_m
+        detections = look(self._setup.detector, picture.image, pose, ground_down_m)
         measurement = observe(
             detections,
             pose=pose,

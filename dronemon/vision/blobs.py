@@ -14,7 +14,7 @@ from dronemon.mission.detector import DetectorSection
 from dronemon.types import BoolArray, CameraModel, Detection, ImageArray, Pose
 from dronemon.vision.project import ground_side_m
 
-_MOST_SPOTS = 32
+_MOST_SPOTS, _MOST_TRIED = 32, 2000
 _MIN_AREA_PX = 9
 
 
@@ -41,7 +41,7 @@ class BlobDetector:
         is_whole &= area >= _MIN_AREA_PX
         boxes = np.stack([left, top, left + width, top + height], axis=1).astype(float)
         found = []
-        for index in np.flatnonzero(is_whole)[np.argsort(-area[is_whole])][:_MOST_SPOTS]:
+        for index in np.flatnonzero(is_whole)[np.argsort(-area[is_whole])][:_MOST_TRIED]:
             centre_px = centres[1 + index] + 0.5
             m_per_px = ground_side_m(centre_px + _PIXEL, self._camera, pose, ground_down_m)
             least_m, most_m = self._of.size_m
@@ -58,7 +58,7 @@ class BlobDetector:
                     box_px=tuple(boxes[index].tolist()),
                 )
                 found.append(find)
-        return tuple(found)
+        return tuple(found[:_MOST_SPOTS])
 
     def _is_like(self, image: ImageArray) -> BoolArray:
         """Which pixels look so. -> (height, width)"""

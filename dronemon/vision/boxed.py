@@ -17,6 +17,8 @@ from dronemon.vision.layouts import boxes_of, layout_of
 from dronemon.vision.network import EXTRA, open_network
 
 _MOST_BOXES = 300
+_MOST_TILES = 200
+_MOST_SCORE = 1.001  # of a sum in float32
 
 
 class BoxDetector:
@@ -33,6 +35,12 @@ class BoxDetector:
         self._network = open_network(path)
         self._size_px, self._is_grey = self._input(path)
         self._names = self._class_names(path, watched)
+        self._tiles = list(tiles(camera.width_px, camera.height_px, of.tile_px))
+        if len(self._tiles) > _MOST_TILES:
+            raise OptionError(
+                f"tile_px {of.tile_px} would show it pictures in {len(self._tiles)} parts, and "
+                f"{_MOST_TILES} are the most; make it larger"
+            )
         self._watched = [self._names.index(name) for name in watched]
         blank = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
         try:
@@ -56,12 +64,22 @@ class BoxDetector:
                 f"{path}: the size of its input cannot be told; give detector.input_px as "
                 f"[width, height], or install what reads it from most files: {EXTRA}"
             )
+        if not all(32 <= length <= 8192 for length in size):
+            raise OptionError(f"{path}: its input is {size[0]} x {size[1]} pixels, not 32 to 8192")
         if channels not in (None, 1, 3):
             raise OptionError(f"{path}: its input has {channels} channels, not 1 or 3")
         return size, channels == 1
 
     def _class_names(self, path: Path, watched: Sequence[str]) -> tuple[str, ...]:
-        names = self._of.classes or self._network.names
+        own = self._network.names
+        names = self._of.classes or own
+        if own and names != own:
+            raise OptionError(
+                f"{path}: its classes are {', '.join(own):.300}, detector.classes says otherwise; "
+                "leave that out"
+            )
+        if len(set(names)) < len(names):
+            raise OptionError(f"{path}: has a class twice among {', '.join(names):.300}")
         if not names:
             raise OptionError(
                 f"{path}: its classes cannot be told; list all that it was trained for, in their "
@@ -102,9 +120,19 @@ class BoxDetector:
         """Boxes of what is watched in a part of a picture, in its pixels."""
         picture, letterbox = self._prepared(image)
         outputs = self._network.run(picture)
-        if not all(np.isfinite(of).all() for of in outputs):
-            raise CameraError("the detector's network put out what are no numbers")
         boxes = boxes_of(self._layout, outputs, len(self._names), self._size_px)
+        if not (np.isfinite(boxes.corners_px).all() and np.isfinite(boxes.scores).all()):
+            raise CameraError("the detector's network put out what are no numbers")
+        if boxes.scores.max(initial=0.0) > _MOST_SCORE or boxes.scores.min(initial=0.0) < 0.0:
+            raise CameraError(
+                f"the network's scores go to {boxes.scores.max():.3g}, not from 0 to 1; export it "
+                "with its last sigmoid, or say another detector.layout"
+            )
+        boxes = boxes._replace(scores=boxes.scores.clip(0.0, 1.0))
+        centres = 0.5 * (boxes.corners_px[:, :2] + boxes.corners_px[:, 2:])
+        is_inside = (centres >= 0.0) & (centres <= self._size_px)
+        is_inside &= boxes.corners_px[:, :2] < boxes.corners_px[:, 2:]
+        boxes = boxes.chosen(np.flatnonzero(is_inside.all(axis=1)))
         is_right = boxes.scores >= self._of.min_score
         boxes = boxes.chosen(is_right & np.isin(boxes.classes, self._watched))
         boxes = boxes.chosen(np.argsort(-boxes.scores)[:_MOST_BOXES])

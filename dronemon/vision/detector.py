@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from itertools import islice
+from typing import Any, Protocol
 
+import numpy as np
+
+from dronemon.errors import CameraError, blaming
 from dronemon.types import Detection, ImageArray, Pose
 
 DRAWN_NEEDS_PX_PER_M = 5.5
@@ -12,6 +16,7 @@ DRAWN_NEEDS_PX_PER_M = 5.5
 Of animals in the footprint 100 % are found at 6, 97 % at 5.5, 91 % at 5, 79 % at 4.5: `python
 benchmarks/vision.py --height-m H`, where the default camera has 320 / H.
 """
+_MOST_FINDS = 1000
 
 
 class Detector(Protocol):
@@ -26,3 +31,29 @@ class Detector(Protocol):
 
         -> any number of each appearance, in any order, with scores from 0 to 1
         """
+
+
+def look(
+    detector: Detector, image: ImageArray, pose: Pose, ground_down_m: float
+) -> tuple[Detection, ...]:
+    """What a detector finds, which may be anybody's: see `Detector.detect`.
+
+    Raises CameraError for one that fails, or finds what cannot be.
+    """
+    with blaming("the detector", CameraError):
+        found = tuple(islice(detector.detect(image, pose, ground_down_m), _MOST_FINDS))
+        for detection in found:
+            if not _can_be(detection):
+                raise CameraError(
+                    f"the detector gave {detection!r:.200}; it owes Detections with an appearance, "
+                    "a finite pixel_px, and a score from 0 to 1"
+                )
+    return found
+
+
+def _can_be(find: Any) -> bool:
+    if not isinstance(find, Detection) or not isinstance(find.appearance, str):
+        return False
+    box_px = find.box_px if find.box_px is not None else (0.0,) * 4
+    is_whole = len(find.pixel_px) == 2 and len(box_px) == 4
+    return is_whole and bool(np.isfinite([*find.pixel_px, *box_px]).all() and 0 <= find.score <= 1)

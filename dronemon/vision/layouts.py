@@ -35,10 +35,11 @@ def layout_of(
 
     Raises OptionError if none fits, or several do.
     """
+    fewest = 0 if given else _FEWEST  # some put out none where they find nothing
     fitting = [
         layout
         for layout in LAYOUTS
-        if given in (None, layout) and _fits(layout, shapes, num_classes)
+        if given in (None, layout) and _fits(layout, shapes, num_classes, fewest)
     ]
     if len(fitting) == 1:
         return fitting[0]
@@ -50,24 +51,25 @@ def layout_of(
         )
     raise OptionError(
         f"the network's output {told} for {num_classes} classes is not "
-        f"{given or 'any of ' + ', '.join(LAYOUTS)}; "
-        "are detector.classes all classes that it was trained for, in their order?"
+        f"{given or 'any of ' + ', '.join(LAYOUTS)}; say detector.layout, and all classes that it "
+        "was trained for, in their order, as detector.classes"
     )
 
 
-def _fits(layout: Layout, shapes: Sequence[tuple[int, ...]], num_classes: int) -> bool:
+def _fits(layout: Layout, shapes: Sequence[tuple[int, ...]], num_classes: int, fewest: int) -> bool:
     if any(len(shape) != 3 or shape[0] != 1 for shape in shapes):
         return False
     if layout == "detr":
-        last = [shape[2] for shape in shapes]
-        return len(shapes) == 2 and 4 in last and max(last[0], last[1]) >= num_classes
+        boxes, *logits = sorted((shape[1:] for shape in shapes), key=lambda shape: shape[1] != 4)
+        is_pair = len(logits) == 1 and boxes[1] == 4 != logits[0][1]
+        return is_pair and boxes[0] == logits[0][0] and logits[0][1] >= num_classes
     if len(shapes) != 1:
         return False
     _, rows, columns = shapes[0]
     if layout == "yolov8":
-        return rows == 4 + num_classes and columns >= _FEWEST
+        return rows == 4 + num_classes and columns >= fewest
     width = {"yolov5": 5 + num_classes, "yolov10": 6, "rtdetr": 4 + num_classes}[layout]
-    return columns == width and rows >= _FEWEST
+    return columns == width and rows >= fewest
 
 
 def boxes_of(

@@ -13,6 +13,7 @@ from dronemon.types import Detection, ImageArray
 _OTHER_RGB = (235, 235, 235)
 _HALF_PX = 12
 """Of the box around a find without one."""
+_FAR_PX = 1e4
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -24,7 +25,7 @@ def marked(
     for detection in found:
         (u, v), bgr = detection.pixel_px, rgb.get(detection.appearance, _OTHER_RGB)[::-1]
         box = detection.box_px or (u - _HALF_PX, v - _HALF_PX, u + _HALF_PX, v + _HALF_PX)
-        left, top, right, bottom = (round(edge) for edge in box)
+        left, top, right, bottom = (round(min(max(edge, -_FAR_PX), _FAR_PX)) for edge in box)
         cv2.rectangle(drawn, (left, top), (right, bottom), bgr, 2)
         label = f"{detection.appearance} {detection.score:.2f}"
         where = left, top - 5 if top > 20 else bottom + 15

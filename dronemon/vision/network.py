@@ -8,6 +8,8 @@ from __future__ import annotations
 import ast
 import importlib
 import re
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -62,28 +64,42 @@ class _OnnxRuntime:
         available = runtime.get_available_providers()
         try:
             self._session = runtime.InferenceSession(path, options, providers=available)
+            inputs = [(one.name, one.type, one.shape) for one in self._session.get_inputs()]
+            names = self._session.get_modelmeta().custom_metadata_map.get("names", "")
         except Exception as exc:
             raise _unreadable(path, exc) from exc
-        inputs = self._session.get_inputs()
-        if len(inputs) != 1 or len(inputs[0].shape) != 4:
-            told = ", ".join(f"{one.name} {one.shape}" for one in inputs)
+        if len(inputs) != 1 or len(inputs[0][2]) != 4:
+            told = ", ".join(f"{name} {shape}" for name, _, shape in inputs)
             raise OptionError(f"{path}: its inputs are {told}; a detector has one, a picture")
-        self._input = inputs[0].name
-        channels, height, width = (n if isinstance(n, int) else None for n in inputs[0].shape[1:])
+        self._input, kind, (batch, *shape) = inputs[0]
+        if kind != "tensor(float)" or (isinstance(batch, int) and batch != 1):
+            raise OptionError(
+                f"{path}: takes {batch} pictures of {kind}; export it for 1 of tensor(float)"
+            )
+        channels, height, width = (n if isinstance(n, int) else None for n in shape)
         self.shape: Shape = channels, height, width
-        self.names = _names(self._session.get_modelmeta().custom_metadata_map.get("names", ""))
+        self.names = _names(names)
 
     def run(self, picture: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         try:
             outputs: list[NDArray[np.float32]] = self._session.run(None, {self._input: picture})
         except Exception as exc:
             raise _failed(self._path, picture, exc) from exc
+        if not all(isinstance(of, np.ndarray) and of.dtype.kind in "fiu" for of in outputs):
+            raise CameraError(f"{self._path}: puts out something else than tables of numbers")
         return outputs
 
 
 class _OpenCv:
     def __init__(self, path: Path) -> None:
         self._path = path
+        # A damaged file may end the process that reads it.
+        code = "import cv2, sys; cv2.dnn.readNetFromONNX(sys.argv[1])"
+        trial = subprocess.run(
+            [sys.executable, "-c", code, str(path)], capture_output=True, check=False
+        )
+        if trial.returncode < 0:
+            raise _unreadable(path, ValueError("it is damaged"))
         try:
             self._net = cv2.dnn.readNetFromONNX(str(path))
         except cv2.error as exc:
@@ -118,7 +134,7 @@ def _names(text: str) -> tuple[str, ...]:
     """Names of classes as exporters write them: a list, or a dictionary by number."""
     try:
         told = ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
         return ()
     if isinstance(told, dict):
         told = [told.get(number) for number in range(len(told))]

@@ -67,6 +67,8 @@ def test_animals_is_the_papers_experiment():
         ("simulation:", "detector: {classes: [a, a]}\nsimulation:", 15, ["has a class twice"]),
         ("simulation:", "detector: {size_m: [3, 1]}\nsimulation:", 15, ["the least comes first"]),
         ("simulation:", "detector: {kind: blobs}\nsimulation:", 15, ["one target only"]),
+        ("simulation:", "detector: {hue_deg: [0, 360]}\nsimulation:", 15, ["one hue alone"]),
+        ("simulation:", "detector: {kind: blobs}\nsimulation:", 15, ["anything is a blob"]),
         ("simulation:", "detector: {layout: yolo}\nsimulation:", 15, ["detector.layout", "rtdetr"]),
         ("name: Bella", "name: Zuri", 11, ["targets[1].name", "target 1"]),
         ("{name: Bella, ", "{", 10, ["targets[0].name", "is missing"]),

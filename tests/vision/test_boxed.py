@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from squares import SIDE_PX, draw_squares, write_squares
 
-from dronemon.errors import OptionError
+from dronemon.errors import DronemonError, OptionError
 from dronemon.mission.detector import DetectorSection
 from dronemon.types import LAYOUTS, CameraModel, ImageArray, Layout, Pose
 from dronemon.vision.boxed import BoxDetector
@@ -99,9 +100,13 @@ WRONG: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         ("red",),
         {"input_px": (640, 640)},
     ),
-    r"is not any of yolov5, .*detector.classes": (("red",), {"classes": ("red", "blue", "green")}),
-    r"is not detr; are detector.classes": (("red",), {"layout": "detr"}),
-    r"is not yolov5; are detector.classes": (("red",), {"layout": "yolov5"}),
+    r"eyes\.onnx: its classes are red, blue, detector.classes says otherwise": (
+        ("red",),
+        {"classes": ("blue", "red")},
+    ),
+    r"is not detr; .*detector.classes": (("red",), {"layout": "detr"}),
+    r"is not yolov5; .*detector.classes": (("red",), {"layout": "yolov5"}),
+    r"tile_px 64 would show it pictures in .* parts": (("red",), {"tile_px": 64}),
 }
 
 
@@ -109,8 +114,28 @@ WRONG: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
 def test_what_does_not_fit_the_file_is_told_at_once(message: str, tmp_path: Path) -> None:
     watched, settings = WRONG[message]
     path = write_squares(tmp_path / "eyes.onnx")
+    camera = replace(CAMERA, width_px=1200, height_px=900) if "tile_px" in settings else CAMERA
     with pytest.raises(OptionError, match=message):
-        detector_of(path, watched, **settings)
+        detector_of(path, watched, camera, **settings)
+
+
+FLAWS: dict[str, tuple[str, dict[str, Any]]] = {
+    "no names": (r"its classes cannot be told", {"names": "{0: 'red', []: 3}"}),
+    "names twice": (r"has a class twice among red, red", {"names": ["red", "red"]}),
+    "three classes": (r"is not any of yolov5", {"names": ["red", "blue", "green"]}),
+    "a small input": (r"its input is 24 x 24 pixels, not 32", {"size_px": (24, 24)}),
+    "a batch": (r"takes 4 pictures of tensor\(float\)", {"batch": 4}),
+    "no sigmoid": (r"scores go to \d+", {"layout": "yolov8", "gain": 50.0}),
+}
+
+
+@pytest.mark.parametrize("flaw", FLAWS)
+def test_a_file_that_is_no_detectors_is_told(flaw: str, tmp_path: Path) -> None:
+    words, written = FLAWS[flaw]
+    path = write_squares(tmp_path / "eyes.onnx", **written)
+    image = picture(("red", 120, 104), side_px=2 * SIDE_PX)
+    with pytest.raises(DronemonError, match=words):
+        found(detector_of(path), image)
 
 
 @pytest.mark.parametrize("has_onnxruntime", [True, False])

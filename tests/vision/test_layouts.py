@@ -63,8 +63,25 @@ def test_what_may_be_two_layouts_is_asked_for(num_classes: int, either: str) -> 
 
 @pytest.mark.parametrize(
     "shapes",
-    [[(1, 100, 7)], [(1, 9, 5)], [(9, 100)], [(2, 9, 100)], [(1, 100, 5)] * 2, [(1, 9, 100)] * 3],
+    [
+        [(1, 20, 6), (1, 30, 4)],
+        [(1, 20, 4), (1, 20, 4)],
+        [(1, 100, 7)],
+        [(1, 9, 5)],
+        [(9, 100)],
+        [(2, 9, 100)],
+        [(1, 100, 5)] * 2,
+        [(1, 9, 100)] * 3,
+    ],
 )
 def test_other_shapes_are_refused(shapes: list[tuple[int, ...]]) -> None:
     with pytest.raises(OptionError, match="is not any of yolov5"):
         layout_of(shapes, NUM_CLASSES)
+
+
+def test_a_layout_that_is_given_need_not_show_how_many_boxes_it_has() -> None:
+    shapes = [(1, 0, 6)]
+    with pytest.raises(OptionError, match=r"say detector.layout"):
+        layout_of(shapes, NUM_CLASSES)
+    assert layout_of(shapes, NUM_CLASSES, "yolov10") == "yolov10"
+    assert len(boxes_of("yolov10", [np.zeros((1, 0, 6))], NUM_CLASSES, SIZE_PX).scores) == 0

@@ -13,9 +13,10 @@ import pytest
 import yaml
 from squares import write_squares
 
-from dronemon.errors import MissionFileError
+from dronemon.errors import CameraError, MissionFileError
 from dronemon.feasibility import load_checked
 from dronemon.mission import Mission
+from dronemon.runner.preparation import try_detector
 from dronemon.types import ImageArray, Pose
 from dronemon.vision.detector import Detector
 from dronemon.vision.registry import make_detector
@@ -116,3 +117,33 @@ def test_a_detector_that_will_not_do_is_told_before_anything_starts(
 ) -> None:
     with pytest.raises(MissionFileError, match=words):
         detector_of(folder, detector, appearance)
+
+
+NONSENSE = {
+    "nothing": "None",
+    "a tuple": "[('lamp', (1, 2), 0.5)]",
+    "a generator that fails": "(1 // 0 for _ in [1])",
+    "no place": "[Detection(appearance='lamp', pixel_px=(float('nan'), 2.0), score=0.5)]",
+    "too sure": "[Detection(appearance='lamp', pixel_px=(1.0, 2.0), score=9.0)]",
+    "no score": "[Detection(appearance='lamp', pixel_px=(1.0, 2.0), score=float('nan'))]",
+    "half a box": "[Detection(appearance='a', pixel_px=(1.0, 2.0), score=0.5, box_px=(1.0,))]",
+    "a changed picture": "image.fill(0) or ()",
+    "too late": "__import__('time').sleep(1.6) or ()",
+}
+
+
+@pytest.mark.parametrize("nonsense", NONSENSE)
+def test_a_detector_that_gives_nonsense_is_told_before_take_off(
+    folder: Path, nonsense: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "odd_detectors.py").write_text(
+        "from dronemon.types import Detection\n"
+        "class Odd:\n    def __init__(self, *given): ...\n"
+        f"    def detect(self, image, pose, ground_down_m): return {NONSENSE[nonsense]}\n"
+    )
+    monkeypatch.delitem(sys.modules, "odd_detectors", raising=False)
+    path = written(folder, {"kind": "odd_detectors:Odd"}, "lamp")
+    mission = load_checked(str(path), {}, None).mission
+    with pytest.raises(CameraError, match=r"the detector (gave|failed|takes 1)"):
+        try_detector(mission, make_detector(mission))
+    sys.modules.pop("odd_detectors", None)
