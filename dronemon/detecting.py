@@ -118,9 +118,15 @@ class _Keeper:
 
     def keep(self, name: str, image: ImageArray, found: Sequence[Detection]) -> None:
         """Keep what was found in a picture."""
+        places = [(d.score, *d.pixel_px, *(d.box_px or ())) for d in found]
         self._write_rows(
-            [name, d.appearance, *(f"{n:.3f}" for n in (d.score, *d.pixel_px, *(d.box_px or ())))]
-            for d in found
+            [
+                name,
+                d.appearance,
+                *(f"{n:.3f}" for n in place),
+                *[""] * (len(COLUMNS) - 2 - len(place)),
+            ]
+            for d, place in zip(found, places, strict=True)
         )
         path = self._path.with_name(f"{name}.found.jpg")
         with writing("--out", path):
