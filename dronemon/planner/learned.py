@@ -71,6 +71,8 @@ class LearnedPlanner:
         priors_au = torch.as_tensor(briefing.priors_au.reshape(1, -1, 2))
         if not self._num_imagined:
             self._tracks.add_prior(priors_au.isfinite().all(-1), priors_au)
+        if briefing.sightings is not None:
+            self._read(briefing.sightings)
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """The neighbour with the greatest logit; details hold all logits and the value.
@@ -92,7 +94,8 @@ class LearnedPlanner:
         frame = self._believe(snapshot)
         target_mask = torch.ones(1, frame.shape[2], dtype=torch.bool)
         time_au = torch.tensor([snapshot.time_au], dtype=torch.float64)
-        tracks = self._follow(snapshot.sightings, time_au)
+        self._read(snapshot.sightings)
+        tracks = self._tracks.features(time_au)
         return node, (frame, target_mask, time_au, torch.tensor([node]), tracks)
 
     def _choose(self, node: int, verdict: Verdict) -> Waypoint:
@@ -111,11 +114,8 @@ class LearnedPlanner:
             },
         )
 
-    def _follow(self, sightings: Sightings, time_au: torch.Tensor) -> torch.Tensor:
-        """Take in what was measured since the last decision. -> tracks (1, N, T).
-
-        They are empty where the network is not shown any.
-        """
+    def _read(self, sightings: Sightings) -> None:
+        """Take in what was measured since the last time, if the network is shown tracks."""
         ahead = self._num_imagined
         is_shown = self._network.config.tracks
         for measurement in sightings.since(self._num_read if is_shown else len(sightings)):
@@ -128,7 +128,6 @@ class LearnedPlanner:
                 torch.ones(1, dtype=torch.bool),
             )
         self._num_read = len(sightings)
-        return self._tracks.features(time_au)
 
     def _believe(self, snapshot: Snapshot) -> torch.Tensor:
         """The belief at every node. -> frame (1, V, N, 4).

@@ -69,7 +69,7 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Briefing:
-    """What is known before the mission starts.
+    """What is known before the mission starts, or goes on.
 
     num_targets: N known so far
     priors_au:   (N, 2) au positions at time 0, NaN where unknown
@@ -78,6 +78,7 @@ class Briefing:
     rng:         the planner's own randomness
     arena:       where waypoints may be
     sensor:      how the eye errs
+    sightings:   what was seen before, where a mission goes on: to be taken in before take-off
     """
 
     num_targets: int
@@ -87,6 +88,7 @@ class Briefing:
     rng: np.random.Generator
     arena: Arena = ARENA
     sensor: Sensor = PERFECT
+    sightings: Sightings | None = None
 
     @property
     def num_imagined(self) -> int:

@@ -53,6 +53,8 @@ class SearchPlanner:
             arena=briefing.arena,
             sensor=briefing.sensor,
         )
+        if briefing.sightings is not None:
+            self._particles.learn(briefing.sightings)
         self._arena = briefing.arena
         self._ground = self._make_ground(roadmap)
         self._goals = np.zeros((paths.MAX_GOALS, 2))

@@ -15,6 +15,7 @@ from dronemon.events import EventStream, Moved
 from dronemon.frames import AreaFrame
 from dronemon.guard import State
 from dronemon.preflight import Sight, Verdict, against
+from dronemon.roadmap import Roadmap
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.ground import Ground
@@ -25,7 +26,7 @@ from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
 from dronemon.runner.supervisor import Supervisor
 from dronemon.runner.tally import Tally, progress
-from dronemon.types import Vector3
+from dronemon.types import FloatArray, Vector3
 from dronemon.vehicle import Landed, Mode
 from dronemon.vehicle.changes import Changes, ChangesTaken
 
@@ -34,6 +35,8 @@ NOT_STARTED_AGAIN = "it did not take off again: the motors were not started"
 DOWN = "the drone is down, and its motors are off"
 _RESET_LIMIT_S = 30.0
 """Wall time for the planner to begin a mission, as it has done in the rehearsal."""
+_RECALL_LIMIT_S = 0.1
+"""Wall time more, for each picture of before that it takes in."""
 _POSE_INTERVAL_S = 0.1
 """Wall time between two poses that are told outside the patrol."""
 
@@ -208,10 +211,7 @@ class _Flight:
             await self._check_fitness(sight, frame)
         fence = await ground.lay_fence(frame)
         start_au, roadmap = draw_start_and_roadmap(mission)
-        briefing = brief(mission, setup.priors_au, start_au, stream="planner")
-        reset = partial(setup.planner.reset, briefing, roadmap)
-        who = f"planner '{setup.planner.name}'"
-        await in_daemon_thread(reset, who, PlannerError, _RESET_LIMIT_S)
+        await self._brief_planner(start_au, roadmap)
         self._tell_resumed(frame)
         ground.tell(frame, fence, roadmap)
         self._patrol = Patrol(
@@ -224,6 +224,16 @@ class _Flight:
             roadmap=roadmap,
             start_au=start_au,
         )
+
+    async def _brief_planner(self, start_au: FloatArray, roadmap: Roadmap) -> None:
+        """Tell it all that is known: taking in a long log keeps nobody waiting in the air."""
+        setup, tally = self._setup, self._tally()
+        log = tally.sightings if tally else None
+        limit_s = _RESET_LIMIT_S + _RECALL_LIMIT_S * (len(log) if log else 0)
+        briefing = brief(self._mission, setup.priors_au, start_au, stream="planner", sightings=log)
+        reset = partial(setup.planner.reset, briefing, roadmap)
+        who = f"planner '{setup.planner.name}'"
+        await in_daemon_thread(reset, who, PlannerError, limit_s)
 
     def _refuse_to_take_over(self) -> None:
         """Leave a vehicle in the air to its pilot, or to an autopilot that has to bring it down.

@@ -199,7 +199,12 @@ def draw_start_and_roadmap(mission: Mission) -> tuple[FloatArray, Roadmap]:
 
 
 def brief(
-    mission: Mission, priors_au: FloatArray, start_au: FloatArray, *, stream: str
+    mission: Mission,
+    priors_au: FloatArray,
+    start_au: FloatArray,
+    *,
+    stream: str,
+    sightings: Sightings | None = None,
 ) -> Briefing:
     """What the planner is told; its randomness is the mission's stream of this name."""
     return Briefing(
@@ -209,6 +214,7 @@ def brief(
         horizon_au=mission.horizon_au,
         rng=named_stream(mission.simulation.seed, stream),
         sensor=mission.sensor.model,
+        sightings=sightings,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from dronemon.arena import ARENA
+from dronemon.belief import Belief
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import (
@@ -29,7 +30,9 @@ from dronemon.planner.motion import waypoint_flaw
 from dronemon.policy import Card, NetworkConfig, PolicyNetwork, save_checkpoint
 from dronemon.problem import Prior
 from dronemon.roadmap import Roadmap
-from dronemon.world import Instance, TargetPaths
+from dronemon.sightings import Sightings
+from dronemon.types import Measurement
+from dronemon.world import Instance, TargetPaths, measure
 
 Make = Callable[[], Planner]
 CARD = Card(recipe="none", command="", commit="", date="", seeds="")
@@ -72,7 +75,7 @@ def one_thread() -> Iterator[None]:
 def weights(tmp_path_factory: pytest.TempPathFactory) -> str:
     with torch.random.fork_rng():
         torch.manual_seed(1)
-        network = PolicyNetwork(NetworkConfig(width=16, feed_forward=24)).eval()
+        network = PolicyNetwork(NetworkConfig(width=16, feed_forward=24, tracks=True)).eval()
     path: Path = tmp_path_factory.mktemp("weights") / "untrained.pt"
     save_checkpoint(path, network, CARD)
     return str(path)
@@ -122,6 +125,54 @@ def test_planner_repeats_itself_and_remembers_no_earlier_mission(make: Make) -> 
     fresh = fly_episode(make(), instance, conditions())
     np.testing.assert_array_equal(first.agent_au, again.agent_au)
     np.testing.assert_array_equal(first.agent_au, fresh.agent_au)
+
+
+class Watched(Sightings):
+    """A log that counts the measurements it gives out."""
+
+    num_given = 0
+
+    def since(self, count: int) -> Sequence[Measurement]:
+        given = super().since(count)
+        self.num_given += len(given)
+        return given
+
+
+@pytest.mark.parametrize("kind", ["search", "search-roadmap", "stamp"])
+def test_what_was_seen_before_is_taken_in_before_take_off(kind: str, weights: str) -> None:
+    instance = Instance.draw(10_005, 3)
+    log = Watched(instance.paths.positions_au(0.0))
+    for step in range(1, 41):
+        time_au = 0.1 * step
+        log.add(measure(time_au, instance.start_au, instance.paths.positions_au(0.1 * time_au)))
+    roadmap = Roadmap.random(20, 5, instance.stream("roadmap"), instance.start_au)
+    planner = create_planner(kind, checkpoint=weights if has_weights(kind) else None)
+    planner.reset(
+        Briefing(
+            num_targets=3,
+            priors_au=log.priors_au,
+            start_au=instance.start_au,
+            horizon_au=9.0,
+            rng=instance.stream("planner"),
+            sightings=log,
+        ),
+        roadmap,
+    )
+    assert log.num_given >= 40
+    log.num_given = 0
+    planner.next_waypoint(
+        Snapshot(
+            time_au=4.0,
+            flown_au=4.0,
+            position_au=instance.start_au,
+            node=0,
+            sightings=log,
+            belief=Belief(log),
+            roadmap=roadmap,
+            remaining_au=5.0,
+        )
+    )
+    assert log.num_given == 0
 
 
 def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:

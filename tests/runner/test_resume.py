@@ -51,6 +51,7 @@ class Shuttle:
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         self.snapshots = []
+        self.num_told = len(briefing.sightings or ())
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         self.snapshots.append(snapshot)
@@ -247,6 +248,7 @@ def test_a_flight_goes_on_in_the_air(story, mode):
     assert story.link.commands[:2] == ["hold", "offboard"]
     assert "arm" not in story.link.commands
     assert story.watch.kinds[:4] == ["resuming", "resumed", "ready", "attached"]
+    assert story.planner.num_told == 12
     tally = result.tally
     assert tally is not None
     assert len(tally.sightings) == tally.num_pictures_due == 30
@@ -269,6 +271,7 @@ def _goes_on_300_s_later(story: Story) -> None:
     result = story.fly(_on_the_ground(60.0))
     assert (result.outcome, result.error) == ("completed", None)
     assert story.link.commands[0] == "arm"
+    assert story.planner.num_told == 12
     tally = result.tally
     assert tally is not None
     assert len(tally.sightings) == 30
