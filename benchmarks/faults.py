@@ -149,6 +149,7 @@ CASES = {
     "pictures torn": Case(("torn@{t}+10",), spoils_pictures=True),
     "pictures blank": Case(("blank@{t}+10",), spoils_pictures=True),
     "pictures repeated": Case(("repeat@{t}+10",), spoils_pictures=True),
+    "pictures frozen": Case(("freeze@{t}+10",), spoils_pictures=True),
     "pictures misdated": Case(("misdate=100@{t}+10",), spoils_pictures=True),
     "animals hidden": Case(("hide=0.5@{t}+10",)),
     "decoys": Case(("decoy=0.5@{t}+10",)),

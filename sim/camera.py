@@ -52,6 +52,7 @@ class CameraServer:
         self._on_capture = on_capture
         self._faults = faults
         self._last: bytes | None = None
+        self._jpeg: bytes | None = None
         self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
     async def __aenter__(self) -> Self:
@@ -107,7 +108,9 @@ class CameraServer:
         self._on_capture(scene)
         loop = asyncio.get_running_loop()
         shown = with_faults(scene, self._faults, self._rng)
-        jpeg = await loop.run_in_executor(self._thread, self._photograph, shown)
+        if self._jpeg is None or "freeze" not in self._faults:
+            self._jpeg = await loop.run_in_executor(self._thread, self._photograph, shown)
+        jpeg = self._jpeg
         if "torn" in self._faults:
             jpeg = jpeg[: len(jpeg) // 2]
         due_s = scene.pose.time_s + self._faults.get("late", 0.0)

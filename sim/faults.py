@@ -11,7 +11,7 @@ from dronemon.mission.faults import Fault, parse_fault
 from sim.parameters import INDEX
 
 _PICTURED_KINDS = ("hide", "decoy", "mistake", "misplace")
-CAMERA_KINDS = ("camera", "late", "torn", "blank", "repeat", "misdate", *_PICTURED_KINDS)
+CAMERA_KINDS = ("camera", "late", "torn", "blank", "repeat", "freeze", "misdate", *_PICTURED_KINDS)
 Switch = Callable[[str, float | None], None]
 """Takes a fault's kind, and its value when it begins or None when it ends."""
 

@@ -162,7 +162,7 @@ class FakeLink:
     ) -> None:
         self.vehicle = FakeVehicle()
         self.is_silent = False
-        self.is_camera_silent = False
+        self.is_camera_silent = self.is_camera_frozen = False
         self.commands: list[str] = []
         """Every command that was sent, heard or not."""
         self.num_setpoints = 0
@@ -204,6 +204,7 @@ class FakeLink:
             "reject": reject,
             "gps": lose_gps,
             "camera": lambda is_on: setattr(self, "is_camera_silent", bool(is_on)),
+            "freeze": lambda is_on: setattr(self, "is_camera_frozen", bool(is_on)),
             "pilot": lambda is_on: vehicle.choose(Mode.POSITION if is_on else Mode.OFFBOARD),
             "battery": lambda level: setattr(vehicle, "battery", level),
             "reboot": lambda _: setattr(self, "_has_rebooted", True),
@@ -483,7 +484,7 @@ class FakeLink:
 
 
 class FakeCamera:
-    """Grey pictures taken at once by a fake link's vehicle."""
+    """Grey pictures taken at once by a fake link's vehicle, each another unless it is frozen."""
 
     def __init__(self, link: FakeLink, width_px: int = 64, height_px: int = 64) -> None:
         self._link = link
@@ -500,6 +501,8 @@ class FakeCamera:
         if self._link.is_camera_silent:
             await asyncio.sleep(1.5)
             raise CameraError("no picture within 1.5 s")
+        if not self._link.is_camera_frozen:
+            self._image = np.roll(self._image, 1, axis=0)
         return Picture(time_s=self._link.time_s, image=self._image)
 
 

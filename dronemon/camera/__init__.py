@@ -2,12 +2,13 @@
 
 from dronemon.camera.crops import CropKeeper, crop_path
 from dronemon.camera.simulated import SimulatedCamera
-from dronemon.camera.source import FrameSource, check_picture, check_size
+from dronemon.camera.source import FrameSource, Freshness, check_picture, check_size
 from dronemon.camera.video import VideoCamera
 
 __all__ = [
     "CropKeeper",
     "FrameSource",
+    "Freshness",
     "SimulatedCamera",
     "VideoCamera",
     "check_picture",

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol, Self
 
+import numpy as np
+
 from dronemon.errors import CameraError
-from dronemon.types import CameraModel, ImageArray, Picture
+from dronemon.types import CameraModel, ImageArray, Picture, Pose
 
 _MAX_AHEAD_S = 5.0
 """Vehicle time by which the newest pose may be behind a picture on its way."""
 _MIN_CONTRAST = 8
 """Least spread of a picture's values, 0 to 255: noise alone has more."""
+
+
+_MOVED_M = 1.0
+"""Way after which a picture shows something else."""
+_SHIFT_PX, _FROZEN = 4, 0.2
+"""Shift of every fourth pixel, and share of what it changes that shows a frozen picture."""
 
 
 class FrameSource(Protocol):
@@ -46,6 +55,39 @@ def check_picture(picture: Picture, model: CameraModel, now_s: float, last_s: fl
     sample = picture.image[::8, ::8]
     if int(sample.max()) - int(sample.min()) < _MIN_CONTRAST:
         raise CameraError("a picture shows nothing at all; is the camera covered or broken?")
+
+
+class Freshness:
+    """Whether each picture shows another view than the one before.
+
+    Only a vehicle that moves tells. A frozen view that is encoded anew differs a little, so what
+    counts is how much less than one that is shifted.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[Picture, Pose] | None = None
+        self._is_frozen = False
+
+    def check(self, picture: Picture, pose: Pose) -> None:
+        """Take the next picture. Raises CameraError if it shows the same as the last, elsewhere."""
+        last, self._last = self._last, (picture, pose)
+        if last is None:
+            return
+        if (
+            math.dist(pose.position_ned_m, last[1].position_ned_m) < _MOVED_M
+            and not self._is_frozen
+        ):
+            return
+        self._is_frozen = _is_same(picture.image, last[0].image)
+        if self._is_frozen:
+            raise CameraError("a picture shows the same as the last one, elsewhere; is it frozen?")
+
+
+def _is_same(image: ImageArray, last: ImageArray) -> bool:
+    green = 1  # the channel that an encoding changes least
+    now, then = (i[::4, ::4, green].astype(np.int16) for i in (image, last))
+    shifted = np.abs(now[:, _SHIFT_PX:] - now[:, :-_SHIFT_PX]).mean()
+    return bool(np.abs(now - then).mean() < _FROZEN * shifted)
 
 
 def check_size(image: ImageArray, model: CameraModel) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from dronemon.camera import check_picture
+from dronemon.camera import Freshness, check_picture
 from dronemon.errors import CameraError
 from dronemon.events import Believed, EventStream, Measured, Pictured
 from dronemon.frames import AreaFrame
@@ -24,9 +24,11 @@ from dronemon.vision.observe import observe, sighting_error_m
 from dronemon.vision.project import interpolate_pose
 
 BLIND_LIMIT_S = 30.0
-"""Vehicle time for which the patrol goes on while no picture says anything, ..."""
+"""Vehicle time for which the patrol goes on while too few pictures say anything, ..."""
 _BLIND_PICTURES = 3
 """... and number of pictures that must have failed by then."""
+_ENOUGH, _NEWEST = 0.25, 0.2
+"""Share of pictures that says enough; the newest picture's weight in it."""
 _MAX_PENDING = 8
 """Pictures that wait to be looked at; while there are so many, none is taken."""
 
@@ -55,8 +57,11 @@ class Observer:
         self._appearances = [target.appearance for target in self._mission.targets]
         self._unseen: deque[tuple[Picture, Pose]] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
+        self._freshness = Freshness()
         self._blind_since_s: float | None = None
-        self._num_blind = 0
+        self._num_blind = 0  # since then
+        self._share = 1.0  # of pictures, of late, that said something
+        self._told_s = -math.inf
         self._due = asyncio.Event()
         self._is_taking = False
         self.tally = tally
@@ -74,13 +79,17 @@ class Observer:
         return bool(self._unseen)
 
     def is_blind(self, now_s: float) -> bool:
-        """Whether pictures have said nothing for too long."""
+        """Whether too few pictures have said anything for too long."""
         since_s = self._blind_since_s
         is_long = since_s is not None and now_s > since_s + BLIND_LIMIT_S
         return is_long and self._num_blind >= _BLIND_PICTURES
 
     def ask(self) -> None:
         """A picture is due now."""
+        if self._due.is_set():
+            self._miss(
+                CameraError("the camera is slow: a picture came later than the next was due")
+            )
         self._due.set()
 
     def resume(self) -> None:
@@ -100,23 +109,35 @@ class Observer:
                 picture = await self._setup.camera.capture()
                 now_s, last_s = self._link.time_s, self._pictured_s
                 check_picture(picture, self._mission.camera.model, now_s, last_s)
+                self._pictured_s = picture.time_s
                 poses = await self._link.poses_around(picture.time_s)
+                pose = interpolate_pose(*poses, picture.time_s)
+                self._freshness.check(picture, pose)
             except CameraError as exc:
                 self._miss(exc)
             else:
-                self._pictured_s = picture.time_s
-                self._unseen.append((picture, interpolate_pose(*poses, picture.time_s)))
+                self._unseen.append((picture, pose))
                 work.set()
             finally:
                 self._is_taking = False
 
     def _miss(self, exc: CameraError) -> None:
         """A picture says nothing: for a while the beliefs do without."""
+        now_s = self._link.time_s
+        self._share *= 1.0 - _NEWEST
         if self._blind_since_s is None:
-            self._blind_since_s, self._num_blind = self._link.time_s, 0
-            what = f"{exc}; the patrol goes on without for {BLIND_LIMIT_S:g} s at most"
-            self._events.note("camera", what, level="WARN")
+            self._blind_since_s, self._num_blind = now_s, 0
+            if now_s > self._told_s + BLIND_LIMIT_S:
+                self._told_s = now_s
+                what = f"{exc}; the patrol goes on without for {BLIND_LIMIT_S:g} s at most"
+                self._events.note("camera", what, level="WARN")
         self._num_blind += 1
+
+    def _see(self) -> None:
+        """A picture says something; where few do, one alone does not mean that all is well."""
+        self._share += _NEWEST * (1.0 - self._share)
+        if self._share >= _ENOUGH:
+            self._blind_since_s = None
 
     async def look_at_the_rest(self) -> None:
         """Look at the pictures that were taken and not yet looked at when the patrol ended."""
@@ -158,7 +179,7 @@ class Observer:
         )
         tally.measure(picture.time_s, stretch.pictured_m, seen)
         self._unseen.popleft()
-        self._blind_since_s = None
+        self._see()
         self.belief.sightings.add(measurement)
         if self._mission.record.pictures:
             pictured = Pictured(number=number, picture=picture, detections=detections, pose=pose)

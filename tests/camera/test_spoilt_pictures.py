@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import math
 import struct
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronemon.camera import SimulatedCamera, check_picture
+from dronemon.camera import Freshness, SimulatedCamera, check_picture
 from dronemon.errors import CameraError
-from dronemon.types import CameraModel, Picture
+from dronemon.types import CameraModel, Picture, Pose
 
 MODEL = CameraModel(width_px=64, height_px=48, horizontal_fov_rad=1.0)
 NOISE = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
@@ -87,3 +88,28 @@ def test_spoilt_answers_are_errors_and_end_nothing(batch: list[bytes]):
 def test_pictures_that_say_nothing_are_refused(picture: Picture, words: str):
     with pytest.raises(CameraError, match=words):
         check_picture(picture, MODEL, now_s=10.0, last_s=9.0)
+
+
+def _seen_from(north_m: float) -> Pose:
+    return replace(Pose.level(40.0), position_ned_m=(north_m, 0.0, -40.0))
+
+
+@pytest.mark.parametrize("quality", [None, 60, 90])
+def test_a_view_that_comes_again_elsewhere_is_refused_also_encoded_anew(quality: int | None):
+    ground = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(300, 300, 3)), (0, 0), 3.0)
+    ground = (128.0 + 200.0 * ground).clip(0, 255).astype(np.uint8)
+    first, again, next_one = ground[:240], ground[:240], ground[10:250]
+    if quality is not None:
+        encoded = cv2.imencode(".jpg", again, (cv2.IMWRITE_JPEG_QUALITY, quality))[1]
+        again = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR), np.uint8)
+    there, elsewhere = _seen_from(0.0), _seen_from(6.0)
+    for image, pose in ((next_one, elsewhere), (again, _seen_from(0.3))):
+        freshness = Freshness()
+        freshness.check(Picture(time_s=1.0, image=first), there)
+        freshness.check(Picture(time_s=2.0, image=image), pose)
+    freshness = Freshness()
+    freshness.check(Picture(time_s=1.0, image=first), there)
+    for time_s in (2.0, 3.0):  # the second time where it is already
+        with pytest.raises(CameraError, match="is it frozen"):
+            freshness.check(Picture(time_s=time_s, image=again), elsewhere)
+    freshness.check(Picture(time_s=4.0, image=next_one), elsewhere)

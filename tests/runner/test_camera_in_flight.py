@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -110,6 +111,40 @@ def test_a_dead_camera_brings_the_drone_home_after_a_while(flight):
     assert isinstance(result.error, CameraError)
     assert "no picture could be taken" in str(result.error)
     assert Reason.BLIND in flight.reasons
+    comes_home(flight, result)
+
+
+def test_a_frozen_view_is_no_measurement_and_brings_the_drone_home(flight):
+    flight.mission_text = LONGER
+    result = flight.fly("freeze@12")
+    assert isinstance(result.error, CameraError)
+    assert "is it frozen?" in flight.record.text("camera")
+    assert Reason.BLIND in flight.reasons
+    measured_s = [e.time_s for e in flight.record.events if isinstance(e, Measured)]
+    noted_s = next(e.time_s for e in flight.record.events if getattr(e, "kind", "") == "camera")
+    assert max(measured_s) < noted_s
+    comes_home(flight, result)
+
+
+def _in_turn(share: int) -> Callable[..., tuple[()]]:
+    """A detector that answers one picture of so many, and fails at the others."""
+    count = itertools.count()
+
+    def detect(*_: object) -> tuple[()]:
+        if next(count) % share:
+            raise ValueError("cannot tell")
+        return ()
+
+    return detect
+
+
+@pytest.mark.parametrize(("share", "is_enough"), [(2, True), (12, False)])
+def test_few_pictures_that_say_something_are_not_enough(flight, share, is_enough):
+    flight.mission_text = LONGER
+    flight.detector.detect = _in_turn(share)
+    result = flight.fly()
+    assert (result.outcome == "completed") == is_enough
+    assert 1 <= flight.record.kinds.count("camera") < 10
     comes_home(flight, result)
 
 

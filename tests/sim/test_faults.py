@@ -368,6 +368,16 @@ def test_a_picture_is_repeated() -> None:
     pictures({"repeat": 1.0}, story)
 
 
+def test_a_frozen_view_has_new_times() -> None:
+    async def story(camera: SimulatedCamera) -> None:
+        first = await camera.capture()
+        second = await camera.capture()
+        assert second.time_s > first.time_s
+        np.testing.assert_array_equal(first.image, second.image)
+
+    pictures({"freeze": 1.0}, story)
+
+
 def test_a_torn_picture_lacks_its_end() -> None:
     mission = make_mission()
     simulation = MockFlight(mission, World(mission))
