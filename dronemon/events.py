@@ -90,12 +90,13 @@ class Moved(Event):
 class Pictured(Event):
     """A picture, what was found in it, and the pose that it was taken from.
 
-    number: of its measurement
+    number: of its measurement; owners: which target each find counts as, -1 for none
     """
 
     number: int
     picture: Picture
     detections: Sequence[Detection]
+    owners: Sequence[int]
     pose: Pose
 
 

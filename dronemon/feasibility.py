@@ -148,10 +148,10 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
             "is `simulated`, but a vehicle at a URL has no simulator beside it; name its "
             "camera, or let simulated animals follow it with --follow URL",
         )
-    for index, target in enumerate(mission.targets):
+    for target in mission.targets:
         if target.prior_au == "simulated":
             yield (
-                ("targets", index, "prior_au"),
+                ("targets", target.entry, "prior_au"),
                 "is `simulated`, but there is no simulator; give [x, y] or leave it out",
             )
 

@@ -28,7 +28,7 @@ LAYERS = {
     "terminal": 0,
     "palette": 0,
     "outside": 0,
-    "sightings": 1,
+    "sightings": 0,
     "belief": 1,
     "roadmap": 1,
     "policy": 1,
@@ -78,6 +78,7 @@ ORDER_IN_LAYER_0 = (
     "terminal",
     "palette",
     "outside",
+    "sightings",
 )
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}
 PLACES = {

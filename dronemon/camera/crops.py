@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
 import cv2
 import numpy as np
 
-from dronemon.events import Event, Measured, Pictured
+from dronemon.events import Event, Pictured
 from dronemon.mission import Mission
 from dronemon.types import ImageArray
 from dronemon.waiting import BoundedQueue
@@ -43,8 +42,7 @@ class CropKeeper:
 
     def __init__(self, run: Path, mission: Mission) -> None:
         self._run = run
-        self._targets = [(target.name, target.appearance) for target in mission.targets]
-        self._seen: Sequence[bool] = ()
+        self._names = [target.name for target in mission.targets]
         self._num_failed = 0
         self._queue = BoundedQueue[tuple[Path, ImageArray]](max_items=_MAX_WAITING)
         self._worker = threading.Thread(target=self._work, name="crops", daemon=True)
@@ -66,14 +64,11 @@ class CropKeeper:
     def take(self, event: Event) -> None:
         """Keep what a picture shows of the targets that were seen in it."""
         match event:
-            case Measured(measurement=measurement):
-                self._seen = measurement.seen.tolist()
-            case Pictured(number=number, picture=picture, detections=detections):
-                best = {d.appearance: d for d in sorted(detections, key=lambda d: d.score)}
-                for target, (name, appearance) in enumerate(self._targets):
-                    if self._seen[target]:
-                        path = crop_path(self._run, number, target, name)
-                        self._queue.put((path, _around(picture.image, best[appearance].pixel_px)))
+            case Pictured(number=number, picture=picture):
+                for found, target in zip(event.detections, event.owners, strict=True):
+                    if target >= 0:
+                        path = crop_path(self._run, number, target, self._names[target])
+                        self._queue.put((path, _around(picture.image, found.pixel_px)))
 
     def _work(self) -> None:
         for path, image in self._queue:

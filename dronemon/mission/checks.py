@@ -49,17 +49,15 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
 
 
 def _twins(mission: Mission) -> Iterator[Problem]:
-    for key in ("appearance", "name"):
-        first: dict[str, int] = {}
-        for index, target in enumerate(mission.targets):
-            value = getattr(target, key)
-            if value in first:
-                yield (
-                    ("targets", index, key),
-                    f"{value!r} is already the {key} of target {first[value] + 1}; "
-                    "targets are told apart by it, so give each its own",
-                )
-            first.setdefault(value, index)
+    first: dict[str, int] = {}
+    for target in mission.targets:
+        if target.name in first:
+            yield (
+                ("targets", target.entry, "name"),
+                f"{target.name!r} is already the name of target {first[target.name] + 1}; "
+                "targets are told apart by it, so give each its own",
+            )
+        first.setdefault(target.name, target.entry)
 
 
 def _detector_problems(mission: Mission) -> Iterator[Problem]:
@@ -71,18 +69,27 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
                 yield ("detector", key), f"is for kind {kind}, but kind is {detector.kind!r}"
     if detector.kind == "onnx" and detector.file is None:
         yield ("detector", "file"), "is missing; name the network's ONNX file"
-    if detector.kind == "blobs" and len(mission.targets) > 1:
-        yield ("detector", "kind"), "blobs look alike, so there can be one target only"
+    looks = [target.appearance for target in mission.targets]
+    if detector.kind == "blobs" and len(set(looks)) > 1:
+        yield ("detector", "kind"), "blobs look alike, so all targets have the same appearance"
+    if detector.kind == "markers" and len(set(looks)) < len(looks):
+        yield ("targets",), "several have the same marker; give each its own number"
     if detector.kind == "blobs" and not (
         detector.hue_deg or detector.saturation or detector.brightness
     ):
         yield ("detector", "kind"), "anything is a blob; give hue_deg, saturation or brightness"
-    for index, target in enumerate(mission.targets):
+    for look in detector.confusion:
+        if look not in looks:
+            yield (
+                ("detector", "confusion", look),
+                f"no target looks like that; {did_you_mean(look, looks)}leave it out",
+            )
+    for target in mission.targets:
         name = target.appearance
         if (detector.kind == "drawn" or mission.camera.is_simulated) and name not in APPEARANCES:
             who = "the simulator draws" if mission.camera.is_simulated else "kind drawn knows"
             yield (
-                ("targets", index, "appearance"),
+                ("targets", target.entry, "appearance"),
                 f"{name!r} is none of what {who}; {did_you_mean(name, APPEARANCES)}"
                 f"there are: {', '.join(APPEARANCES)}",
             )

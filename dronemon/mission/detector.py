@@ -31,6 +31,11 @@ class DetectorSection(Section):
     """drawn (the simulator's animals), onnx, markers, blobs, or package.module:Class."""
     min_score: Fraction = 0.5
     """Detections less certain than this are dropped."""
+    confusion: dict[str, dict[str, Fraction]] = Field(
+        default={},
+        description="Appearances that are taken for others: {horse: {cow: 0.1}} if one horse of "
+        "ten is found as a cow.",
+    )
     needed_px_per_m: float | None = Field(None, gt=0.0, le=1000.0)
     """Least size of a metre on the picture; drawn has its own, the others none if absent."""
     file: str | None = None
@@ -57,6 +62,16 @@ class DetectorSection(Section):
     """blobs: least brightness; a thermal camera's warmth."""
     size_m: Sizes = (0.2, 5.0)
     """blobs: [least, greatest] root of the area on the ground."""
+
+    @field_validator("confusion")
+    @classmethod
+    def _are_shares(cls, confusion: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+        for look, taken in confusion.items():
+            if look in taken:
+                raise ValueError(f"says how often {look} is found as itself; that is the rest")
+            if sum(taken.values()) >= 1.0:
+                raise ValueError(f"leaves nothing of {look}; shares add up to less than 1")
+        return confusion
 
     @field_validator("classes")
     @classmethod

@@ -7,9 +7,10 @@ one flight and, for the mock, one world.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.detector import DetectorSection
@@ -200,16 +201,38 @@ class Target(Section):
     appearance: str = Field(
         min_length=1,
         max_length=80,
-        description="What the detector knows it by, one target at most as each: "
+        description="What the detector knows it by: "
         f"{', '.join(APPEARANCES)} for the simulator's animals, else a class of the network, the "
-        "number of a marker, or any word for a blob.",
+        "number of a marker, or any word for a blob. Several may have the same.",
     )
+    count: int = Field(1, ge=1, le=MAX_TARGETS)
+    """How many there are of it, called NAME 1, NAME 2 and so on."""
     prior_au: Place | Literal["simulated"] | None = Field(
         None,
         description="Position known before take-off: [x, y] from 0 to 1, or `simulated`, which "
         "takes it from the simulated world; x runs east and y north from the area's south-west "
         "corner; unknown if absent.",
     )
+    _entry: int = PrivateAttr(0)
+
+    @property
+    def entry(self) -> int:
+        """Which of the file's entries it comes from, from 0."""
+        return self._entry
+
+    @model_validator(mode="after")
+    def _are_apart(self) -> Target:
+        if self.count > 1 and isinstance(self.prior_au, tuple):
+            raise ValueError(f"{self.count} of them cannot all be at {list(self.prior_au)}")
+        return self
+
+    def each(self, entry: int) -> Iterator[Target]:
+        """Every single one of an entry of the file."""
+        for number in range(1, self.count + 1):
+            name = self.name if self.count == 1 else f"{self.name} {number}"
+            one = self.model_copy(update={"name": name, "count": 1})
+            one._entry = entry
+            yield one
 
 
 class Belief(Section):
@@ -315,13 +338,21 @@ class Mission(Section):
     detector: DetectorSection = DetectorSection()
     sensor: Sensor = Sensor()
     targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=MAX_TARGETS)
-    """The targets to watch, each with its own name and appearance."""
+    """The targets to watch, each with its own name."""
     belief: Belief = Belief()
     roadmap: Roadmap = Roadmap()
     planner: Planner = Planner()
     simulation: Simulation = Simulation()
     view: View = View()
     record: Record = Record()
+
+    @field_validator("targets")
+    @classmethod
+    def _one_by_one(cls, entries: tuple[Target, ...]) -> tuple[Target, ...]:
+        targets = [one for entry, target in enumerate(entries) for one in target.each(entry)]
+        if len(targets) > MAX_TARGETS:
+            raise ValueError(f"are {len(targets)}; {MAX_TARGETS} can be watched at most")
+        return tuple(targets)
 
     @property
     def horizon_au(self) -> float:

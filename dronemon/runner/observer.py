@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -21,6 +22,7 @@ from dronemon.sightings import Sightings
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vision.detector import look
 from dronemon.vision.observe import observe, sighting_error_m
+from dronemon.vision.owners import NOBODY, Owners
 from dronemon.vision.project import interpolate_pose
 
 BLIND_LIMIT_S = 30.0
@@ -54,7 +56,7 @@ class Observer:
         self._frame = frame
         self._battery = battery
         self._names = tuple(target.name for target in self._mission.targets)
-        self._appearances = [target.appearance for target in self._mission.targets]
+        self._owners = Owners.of_mission(self._mission)
         self._unseen: deque[tuple[Picture, Pose]] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
         self._freshness = Freshness()
@@ -157,7 +159,7 @@ class Observer:
         assert tally is not None  # pictures are asked for only once the patrol has begun
         time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
         detect = partial(self._detect, picture, pose, time_au)
-        detections, measurement, score = await in_daemon_thread(
+        detections, owners, measurement = await in_daemon_thread(
             detect, "the detector", CameraError, LOOK_LIMIT_S
         )
         stretch, number = tally.stretch(picture.time_s), len(self.belief.sightings) + 1
@@ -166,7 +168,7 @@ class Observer:
                 number=number,
                 time_s=picture.time_s,
                 measurement=measurement,
-                score=score,
+                score=self._scores(detections, owners),
                 pose=pose,
                 error_m=sighting_error_m(pose, self._frame, self._link.state.accuracy_m),
                 battery=self._link.state.battery,
@@ -182,7 +184,9 @@ class Observer:
         self._see()
         self.belief.sightings.add(measurement)
         if self._mission.record.pictures:
-            pictured = Pictured(number=number, picture=picture, detections=detections, pose=pose)
+            pictured = Pictured(
+                number=number, picture=picture, detections=detections, owners=owners, pose=pose
+            )
             self._events.emit(pictured)
         self._events.emit(
             Believed(
@@ -194,18 +198,25 @@ class Observer:
 
     def _detect(
         self, picture: Picture, pose: Pose, time_au: float
-    ) -> tuple[tuple[Detection, ...], Measurement, FloatArray]:
-        """What the detector finds, what that says of the targets, (N,) how surely. In a thread."""
+    ) -> tuple[tuple[Detection, ...], list[int], Measurement]:
+        """What the detector finds, whose each is, and what that says of targets. In a thread."""
         ground_down_m = self._frame.ground_down_m
         detections = look(self._setup.detector, picture.image, pose, ground_down_m)
-        measurement = observe(
+        measurement, owners = observe(
             detections,
             pose=pose,
             camera=self._mission.camera.model,
             frame=self._frame,
-            appearances=self._appearances,
+            owners=self._owners,
+            sightings=self.belief.sightings,
             time_au=time_au,
         )
-        best = {d.appearance: d.score for d in sorted(detections, key=lambda d: d.score)}
-        scores = [float(best.get(appearance, np.nan)) for appearance in self._appearances]
-        return detections, measurement, np.where(measurement.seen, scores, np.nan)
+        return detections, owners, measurement
+
+    def _scores(self, detections: Sequence[Detection], owners: Sequence[int]) -> FloatArray:
+        """How surely each target was found. -> (N,), NaN where it was not."""
+        scores = np.full(len(self._names), np.nan)
+        for found, target in zip(detections, owners, strict=True):
+            if target != NOBODY:
+                scores[target] = found.score
+        return scores

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from dronemon.belief import Belief, Matern32
+from dronemon.belief import Belief
 from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
 from dronemon.events import TruthTold
 from dronemon.frames import GeoPoint
 from dronemon.mission import Mission
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.runner.flight import FlightResult
+from dronemon.runner.identity import identify
 from dronemon.runner.last_seen import LastSeen
 from dronemon.runner.preparation import mission_kernel
 from dronemon.runner.tally import Tally
@@ -54,12 +55,18 @@ class Flown:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """How well the targets were watched; None where the truth is not known."""
+    """How well the targets were watched; None where the truth is not known.
+
+    identity_switches: sights that took a target for another than the sight before, None where all
+    look different
+    """
 
     unc: float | None = None
     unc_std: float | None = None
     jsd: float | None = None
     min_ob: int | None = None
+    identity_switches: int | None = None
+    identity_switches_per_h: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,7 +113,7 @@ def summarise(
         landing_battery=result.landing_battery,
         error=str(result.error) if result.error else None,
         flown=_flown(tally, mission, place_of) if tally else None,
-        score=_score(tally, truth, mission_kernel(mission)) if tally else None,
+        score=_score(tally, truth, mission) if tally else None,
     )
 
 
@@ -138,14 +145,20 @@ def _flown(
     )
 
 
-def _score(tally: Tally, truth: Sequence[TruthTold], kernel: Matern32) -> Score:
-    """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth."""
+def _score(tally: Tally, truth: Sequence[TruthTold], mission: Mission) -> Score:
+    """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth.
+
+    Where targets look alike, each is the one that it was taken for most often.
+    """
     sightings = tally.sightings
     true_au = truth_at(truth, tally.times_s)
     if not sightings or true_au is None:
         return Score()
+    looks = [target.appearance for target in mission.targets]
+    identities = identify(sightings, true_au, looks)
+    true_au = true_au[:, identities.targets]
     replayed = Sightings(sightings.priors_au)
-    belief = Belief(replayed, kernel)
+    belief = Belief(replayed, mission_kernel(mission))
     grid = evaluation_grid()
     unc, jsd = [], []
     for measurement, positions in zip(sightings.since(0), true_au, strict=True):
@@ -160,6 +173,12 @@ def _score(tally: Tally, truth: Sequence[TruthTold], kernel: Matern32) -> Score:
         unc_std=float(np.std(unc, axis=1).mean()),
         jsd=float(np.mean(jsd)),
         min_ob=min(sightings.num_seen),
+        identity_switches=identities.num_switches,
+        identity_switches_per_h=(
+            identities.num_switches * 3600.0 / tally.duration_s
+            if identities.num_switches is not None and tally.duration_s
+            else None
+        ),
     )
 
 
@@ -212,6 +231,10 @@ _FIGURES = {
     "unc": ("Unc", "{:.3f}: how unsure the beliefs were where the targets truly were, 0 to 1"),
     "unc_std": ("spread of Unc", "{:.3f}: its standard deviation between targets"),
     "jsd": ("JSD", "{:.3f}: how far the beliefs were from the truth, 0 to 0.693 (ln 2)"),
+    "identity_switches_per_h": (
+        "identity switches",
+        "{:.1f} an hour: sights that took a target for another than the sight before",
+    ),
     "min_ob": ("MinOb", "{}: pictures of the target that was seen least"),
 }
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from dronemon.frames import AreaFrame, pixel_to_ground
 from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.sightings import Sightings
 from dronemon.types import CameraModel, Detection, Measurement, Pose
+from dronemon.vision.owners import NOBODY, Owners
 
 _TILT_RAD = math.radians(2.0)
 """Of the camera against what the vehicle says of its attitude, its mounting included."""
@@ -37,25 +39,35 @@ def observe(
     pose: Pose,
     camera: CameraModel,
     frame: AreaFrame,
-    appearances: Sequence[str],
+    owners: Owners,
+    sightings: Sightings,
     time_au: float,
-) -> Measurement:
-    """One observation of every target.
+) -> tuple[Measurement, list[int]]:
+    """One observation of every target, and which of them each find is, or `NOBODY`.
 
     A target is seen if it was found less than SENSOR_RADIUS_AU from the vehicle, over ground; what
-    the picture shows beyond does not count. Of two finds the one with the higher score holds.
-    appearances: of the targets, in their order
+    the picture shows beyond does not count.
+    sightings: what was seen before
     Source: paper, equation 1.
     """
     agent_au = frame.ned_to_au(np.array(pose.position_ned_m))
-    seen = np.zeros(len(appearances), np.bool_)
-    target_au = np.full((len(appearances), 2), np.nan)
-    for detection in sorted(detections, key=lambda d: d.score):
-        pixel_px = np.array(detection.pixel_px)
-        ground_ned_m = pixel_to_ground(pixel_px, camera, pose, frame.ground_down_m)
-        at_au = frame.ned_to_au(ground_ned_m)
-        if np.linalg.norm(at_au - agent_au) < SENSOR_RADIUS_AU:
-            is_it = np.array([name == detection.appearance for name in appearances])
-            seen |= is_it
-            target_au[is_it] = at_au
-    return Measurement(time_au=time_au, agent_au=agent_au, seen=seen, target_au=target_au)
+    pixels_px = np.array([d.pixel_px for d in detections]).reshape(-1, 2)
+    places_au = frame.ned_to_au(pixel_to_ground(pixels_px, camera, pose, frame.ground_down_m))
+    away_au = np.linalg.norm(places_au - agent_au, axis=-1)
+    near = np.flatnonzero(away_au < SENSOR_RADIUS_AU).tolist()
+    own = owners.of(
+        [detections[d].appearance for d in near],
+        [detections[d].score for d in near],
+        places_au[near],
+        agent_au=agent_au,
+        time_au=time_au,
+        sightings=sightings,
+    )
+    seen = np.zeros(owners.num_targets, np.bool_)
+    target_au = np.full((owners.num_targets, 2), np.nan)
+    whose = [NOBODY] * len(detections)
+    for find, target in zip(near, own, strict=True):
+        if target != NOBODY:
+            whose[find], seen[target], target_au[target] = target, True, places_au[find]
+    measurement = Measurement(time_au=time_au, agent_au=agent_au, seen=seen, target_au=target_au)
+    return measurement, whose

@@ -21,7 +21,9 @@ def make_detector(mission: Mission) -> Detector:
     Raises OptionError for a kind, a file, a class or a marker that cannot be used.
     """
     of, camera = mission.detector, mission.camera.model
-    appearances = [target.appearance for target in mission.targets]
+    own = [target.appearance for target in mission.targets]
+    others = [other for taken in of.confusion.values() for other in taken]
+    appearances = list(dict.fromkeys(own + others))
     match of.kind:
         case "drawn":
             return DrawnDetector(appearances, camera, of.min_score)

@@ -26,7 +26,7 @@ from dronemon.events import (
 )
 from dronemon.frames import AreaFrame, ground_to_pixel
 from dronemon.mission import Mission
-from dronemon.palette import Rgb, belief_rgb, target_rgb
+from dronemon.palette import belief_rgb, target_rgb
 from dronemon.problem import PREDICTION_AU
 from dronemon.types import FloatArray, Pose
 from dronemon.viz.attention import Attention
@@ -70,7 +70,6 @@ class Drawing:
     def __init__(self, rec: rr.RecordingStream, mission: Mission) -> None:
         self._rec = rec
         self._names = tuple(target.name for target in mission.targets)
-        self._numbers: dict[str, int] = {t.appearance: i for i, t in enumerate(mission.targets)}
         self._camera = mission.camera.model
         self._margin_m = mission.flight.fence_margin_m
         self._area: AreaFrame | None = None
@@ -185,7 +184,10 @@ class Drawing:
         self._rec.log(
             f"{CAMERA}/picture", rr.Image(picture.image, color_model="BGR").compress(JPEG_QUALITY)
         )
-        shown = [self._name_and_rgb(detection.appearance) for detection in found]
+        shown = [
+            (d.appearance, GREY) if owner < 0 else (self._names[owner], target_rgb(owner))
+            for d, owner in zip(found, event.owners, strict=True)
+        ]
         labels = [f"{name} {d.score:.2f}" for (name, _), d in zip(shown, found, strict=True)]
         marks = dots([d.pixel_px for d in found], [rgb for _, rgb in shown], 5.0, labels=labels)
         self._rec.log(f"{CAMERA}/detections", marks)
@@ -197,10 +199,6 @@ class Drawing:
             edge_px = edge_px[np.isfinite(edge_px).all(axis=-1)]
             self._rec.log(f"{CAMERA}/footprint", lines([edge_px], WHITE, 1.0))
         self._rec.disable_timeline(PICTURES)
-
-    def _name_and_rgb(self, appearance: str) -> tuple[str, Rgb]:
-        number = self._numbers.get(appearance)
-        return (appearance, GREY) if number is None else (self._names[number], target_rgb(number))
 
     def _measure(self, event: Measured) -> None:
         """Mark what was seen; extend the series of times since, battery and cross-track error."""

@@ -60,13 +60,43 @@ def test_animals_is_the_papers_experiment():
         ("side_m: 200", "side_m: -3", 4, ["area.side_m", "greater than or equal to 10", "-3"]),
         ("horizon_au: 30", "horizon_au: 60", 8, ["flight.horizon_au", "battery", "25.5 min"]),
         ("horizon_au: 30", "horizon_au: .nan", 8, ["flight.horizon_au", "finite"]),
-        ("appearance: fox", "appearance: cow", 12, ["targets[2].appearance", "target 1"]),
+        ("appearance: fox", "appearance: fox, count: 0", 12, ["targets[2].count", "equal to 1"]),
+        ("appearance: fox", "appearance: fox, count: 99", 9, ["targets", "are 101"]),
+        (
+            "appearance: cow, prior_au: simulated",
+            "appearance: cow, count: 2, prior_au: [0, 0]",
+            10,
+            ["targets[0]", "2 of them cannot all be at [0.0, 0.0]"],
+        ),
+        (
+            "simulation:",
+            "detector: {confusion: {cat: {cow: 0.1}}}\nsimulation:",
+            15,
+            ["confusion.cat: no target looks like that"],
+        ),
+        (
+            "simulation:",
+            "detector: {confusion: {cow: {fox: 1.0}}}\nsimulation:",
+            15,
+            ["leaves nothing of cow"],
+        ),
+        (
+            "simulation:",
+            "detector: {confusion: {cow: {cow: 0.1}}}\nsimulation:",
+            15,
+            ["found as itself"],
+        ),
         ("appearance: fox", "appearance: fix", 12, ["targets[2].appearance", "'fix'", "mean fox"]),
         ("simulation:", "detector: {tile_px: 640}\nsimulation:", 15, ["tile_px: is for kind onnx"]),
         ("simulation:", "detector: {kind: onnx}\nsimulation:", 15, ["detector.file: is missing"]),
         ("simulation:", "detector: {classes: [a, a]}\nsimulation:", 15, ["has a class twice"]),
         ("simulation:", "detector: {size_m: [3, 1]}\nsimulation:", 15, ["the least comes first"]),
-        ("simulation:", "detector: {kind: blobs}\nsimulation:", 15, ["one target only"]),
+        (
+            "simulation:",
+            "detector: {kind: blobs}\nsimulation:",
+            15,
+            ["all targets have the same app"],
+        ),
         ("simulation:", "detector: {hue_deg: [0, 360]}\nsimulation:", 15, ["one hue alone"]),
         ("simulation:", "detector: {kind: blobs}\nsimulation:", 15, ["anything is a blob"]),
         ("simulation:", "detector: {layout: yolo}\nsimulation:", 15, ["detector.layout", "rtdetr"]),
@@ -95,6 +125,17 @@ def test_message_names_line_and_key(
     assert message.startswith(f":{line}: "), message
     for word in words:
         assert word in message
+
+
+def test_a_herd_is_one_entry_and_what_is_wrong_behind_it_is_told_by_its_line(tmp_path: Path):
+    herd = ANIMALS.replace("appearance: cow, prior_au: simulated", "appearance: cow, count: 3", 1)
+    path = tmp_path / "m.yaml"
+    path.write_text(herd)
+    targets = load_mission(path).mission.targets
+    assert [t.name for t in targets] == ["Bella 1", "Bella 2", "Bella 3", "Zuri", "Rusty"]
+    assert [t.entry for t in targets] == [0, 0, 0, 1, 2]
+    message = _error(tmp_path, herd.replace("name: Rusty", "name: Bella 2"))
+    assert message.startswith(":12: targets[2].name: 'Bella 2' is already the name of target 1")
 
 
 @pytest.mark.parametrize("text", ["", "3", "- a\n- b", "just words"])
@@ -182,8 +223,8 @@ def test_what_keys_say_together_is_told_at_once(tmp_path: Path):
     text = ANIMALS.replace(ALTITUDE, "altitude_m: 20").replace("horizon_au: 30", "horizon_au: 60")
     text = text.replace("name: Zuri, appearance: zebra", "name: Bella, appearance: cow")
     lines = _error(tmp_path, text).splitlines()
-    assert len(lines) == 4
-    for line, words in zip(lines, ("too low", "battery", "appearance", "name"), strict=True):
+    assert len(lines) == 3
+    for line, words in zip(lines, ("too low", "battery", "name"), strict=True):
         assert words in line
 
 
@@ -301,7 +342,12 @@ def test_a_mission_to_start_from_says_what_the_schema_says(tmp_path: Path):
     path = tmp_path / "m.yaml"
     path.write_text(mission_template())
     mission = load_mission(path).mission
-    for words in (*APPEARANCES, "one target at most", "x runs east and y north", "`simulated`"):
+    for words in (
+        *APPEARANCES,
+        "Several may have the same",
+        "x runs east and y north",
+        "`simulated`",
+    ):
         assert words in path.read_text()
     assert mission == Mission(targets=mission.targets)
     for section in Mission.model_fields.values():

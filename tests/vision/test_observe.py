@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from dronemon.frames import AreaFrame, ground_to_pixel
+from dronemon.sightings import Sightings
 from dronemon.types import APPEARANCES, CameraModel, Detection, Pose
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.observe import observe
+from dronemon.vision.owners import Owners
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 
@@ -40,9 +42,16 @@ def detection(appearance, at_au, pose, score=0.9):
 
 
 def observe_over(detections, pose, appearances=("cow", "fox", "zebra")):
-    return observe(
-        detections, pose=pose, camera=CAMERA, frame=FRAME, appearances=appearances, time_au=4.5
+    measurement, _ = observe(
+        detections,
+        pose=pose,
+        camera=CAMERA,
+        frame=FRAME,
+        owners=Owners(appearances),
+        sightings=Sightings(np.full((len(appearances), 2), np.nan)),
+        time_au=4.5,
     )
+    return measurement
 
 
 def test_targets_are_in_order_and_unseen_ones_have_no_place():
@@ -115,9 +124,16 @@ def test_rendered_animals_are_observed_where_they_are(heading_rad):
     scene = Scene(pose=pose, frame=frame, animals=animals)
     image = Renderer(CAMERA, 10_300).render(scene)
     found = DrawnDetector(APPEARANCES, CAMERA, 0.5).detect(image, pose, 0.0)
-    seen = observe(
-        found, pose=pose, camera=CAMERA, frame=frame, appearances=tuple(truth_au), time_au=0.1
+    seen, owners = observe(
+        found,
+        pose=pose,
+        camera=CAMERA,
+        frame=frame,
+        owners=Owners(tuple(truth_au)),
+        sightings=Sightings(np.full((3, 2), np.nan)),
+        time_au=0.1,
     )
+    assert sorted(owners) == [0, 1, 2]
     assert seen.seen.all()
     np.testing.assert_allclose(seen.agent_au, agent_au, atol=1e-9)
     np.testing.assert_allclose(seen.target_au, list(truth_au.values()), atol=0.6 / side_m)

@@ -188,7 +188,11 @@ def happenings(num_measurements: int = 3) -> Iterator[Event]:
         found = [Detection(appearance="fox", pixel_px=(300.0, 200.0), score=0.9)] * (number % 2)
         picture = Picture(time_s=time_s - 0.1, image=image)
         yield Pictured(
-            number=number + 1, picture=picture, detections=found, pose=pose(time_s - 0.1)
+            number=number + 1,
+            picture=picture,
+            detections=found,
+            owners=[1] * len(found),
+            pose=pose(time_s - 0.1),
         )
     yield noted(200.0, "landed", "on the ground", "WARN")
 
@@ -470,7 +474,9 @@ def test_waiting_pictures_are_limited_by_their_size(tmp_path: Path) -> None:
         for number in range(5):
             time_s = float(number)
             picture = Picture(time_s=time_s, image=image)
-            shown.take(Pictured(number=1, picture=picture, detections=[], pose=pose(time_s)))
+            shown.take(
+                Pictured(number=1, picture=picture, detections=[], owners=[], pose=pose(time_s))
+            )
         assert shown.lost.startswith("3 events")
         go_on.set()
     assert len(rows(tmp_path / "flight.rrd", PICTURE, "EncodedImage:blob")) == 2
