@@ -16,7 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from dronemon.camera import CropKeeper, FrameSource, SimulatedCamera, VideoCamera
+from dronemon.camera import (
+    CropKeeper,
+    FrameSource,
+    RectifiedCamera,
+    SimulatedCamera,
+    VideoCamera,
+)
 from dronemon.card import find_checkpoint
 from dronemon.errors import DronemonError, LinkTimeout, VehicleError
 from dronemon.events import AreaLaid, Audience, TruthTold, Watcher
@@ -43,6 +49,7 @@ from dronemon.terminal import FlightDisplay, console, print_error, print_warning
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.vision.detector import Detector
+from dronemon.vision.lens import Rectifier
 from dronemon.vision.registry import make_detector
 from dronemon.viz import FlightView
 
@@ -401,6 +408,12 @@ def _link(mission: Mission, sim: Simulator | None) -> MavsdkLink:
 
 
 def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameSource:
+    source, rectifier = _raw_camera(mission, sim, link), Rectifier.of_mission(mission)
+    model = mission.camera.model
+    return source if rectifier is None else RectifiedCamera(source, rectifier, model)
+
+
+def _raw_camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameSource:
     camera = mission.camera
     if camera.is_simulated:
         assert sim is not None  # load_checked

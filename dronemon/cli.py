@@ -389,6 +389,10 @@ _ELSEWHERE = {
         "dronemon.explain.otherwise",
         "Ask another planner at each decision of a flight, on the same sightings.",
     ),
+    "calibrate": (
+        "dronemon.calibrating",
+        "Measure a camera's lens from pictures of a chessboard, for camera.calibration.",
+    ),
     "evaluate": (
         "dronemon.evaluation.command",
         "Measure planners on simulated instances, and compare them with the paper's figures.",

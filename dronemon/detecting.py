@@ -23,6 +23,7 @@ from dronemon.palette import target_rgb
 from dronemon.terminal import console, print_path
 from dronemon.types import Detection, ImageArray, Pose
 from dronemon.vision.detector import look
+from dronemon.vision.lens import Rectifier
 from dronemon.vision.marks import marked, write_picture
 from dronemon.vision.registry import make_detector
 
@@ -63,6 +64,7 @@ def detect_command(
     if out is not None and out.resolve() == lie.resolve():
         raise OptionError(f"--out {out}: is where the pictures are; name another folder")
     detector, pose = make_detector(flown), Pose.level(height_m or flown.flight.altitude_m)
+    rectifier = Rectifier.of_mission(flown)
     pictures = islice(pictures_of(source), 0, None, every)
     first = next(pictures)  # before anything is written
     took_s, found_in = list[float](), Counter[str]()
@@ -72,6 +74,7 @@ def detect_command(
         for name, image in chain([first], pictures):
             with _naming(name):
                 check_size(image, flown.camera.model)
+                image = image if rectifier is None else rectifier(image)
                 began_s = time.perf_counter()
                 found = look(detector, image, pose, 0.0)
                 took_s.append(time.perf_counter() - began_s)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cache
+from itertools import groupby
 
 from dronemon.card import find_checkpoint, read_card
-from dronemon.errors import MissionFileError, OptionError, PolicyError
+from dronemon.errors import CameraError, MissionFileError, OptionError, PolicyError
 from dronemon.mission import Mission, MissionFile, find_mission, load_mission
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
@@ -33,6 +34,7 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
         yield from _simulator_problems(mission, follow)
         yield from _sight_problems(mission)
         yield from _planner_problems(mission)
+        yield from _lens_problems(mission)
         yield from _detector_problems(mission)
 
     told = []
@@ -99,7 +101,7 @@ def flight_facts(m: Mission) -> dict[str, str]:
     # Mean distance to one of the k nearest of V random places.
     leg_au = 2.0 / 3.0 * math.sqrt(m.roadmap.num_neighbours / (math.pi * m.roadmap.num_nodes))
     return {
-        "targets": ", ".join(f"{t.name} ({t.appearance})" for t in m.targets),
+        "targets": ", ".join(_targets_fact(m)),
         "area": f"{m.area.side_m:g} m side, heading {m.area.heading_deg:g} degrees",
         "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
         f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m, banked "
@@ -118,6 +120,14 @@ def flight_facts(m: Mission) -> dict[str, str]:
         "planner": m.planner.kind,
         "vehicle": m.vehicle.url,
     }
+
+
+def _targets_fact(m: Mission) -> Iterator[str]:
+    """Each entry of the file: who, and how the detector knows it."""
+    for _, group in groupby(m.targets, key=lambda target: target.entry):
+        first, *rest = group
+        names = f"{first.name} to {rest[-1].name}" if rest else first.name
+        yield f"{names} ({first.appearance})"
 
 
 def _relay_fact(m: Mission) -> str:
@@ -193,6 +203,27 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             f"pixels of this camera, and the detector needs {needed_px:g} to know a "
             f"target; fly at {needed_m:.1f} to {highest_m:.0f} m, or use a "
             "camera with more pixels",
+        )
+
+
+def _lens_problems(mission: Mission) -> Iterator[Problem]:
+    """Whether the lens is known, and shows what is to be looked at."""
+    camera = mission.camera
+    if camera.calibration is None and not any(camera.mount_deg):
+        return
+    from dronemon.vision.lens import Rectifier
+
+    try:
+        rectifier = Rectifier.of_mission(mission)
+    except CameraError as exc:
+        yield ("camera", "calibration"), str(exc)
+        return
+    if rectifier is not None and not rectifier.sees_circle():
+        yield (
+            ("camera", "horizontal_fov_deg"),
+            f"{camera.horizontal_fov_deg:g}: this lens, mounted so, does not show all that is to "
+            "be looked at, a circle about the point below the drone; make the angle smaller, or "
+            "see that calibration and mount_deg are right",
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
 import sys
 import threading
 from collections.abc import Iterable, Mapping
@@ -61,6 +62,7 @@ _errors = LenientConsole(stderr=True)
 _STYLES: dict[Level, str] = {"INFO": "cyan", "WARN": "yellow", "ERROR": "bold red"}
 _COMMANDING = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _PLAIN_STEP = 0.1
+_MOST_NAMED = 5
 _BAR_WIDTH = 24
 _MAX_WAITING = 1000
 _CLOSE_S = 3.0
@@ -158,17 +160,24 @@ class FlightDisplay:
         share = min(status.flown_au / status.horizon_au, 1.0) if status.horizon_au else 0.0
         filled = round(share * _BAR_WIDTH)
         level = "?" if status.battery is None else f"{status.battery:.0%}"
-        seen = ", ".join(
-            f"{name} {'never' if ago_s is None else f'{ago_s:.0f} s ago'}"
-            for name, ago_s in status.since_seen_s.items()
-        )
         return (
             f"{status.phase:<14}  {done * filled}{to_do * (_BAR_WIDTH - filled)} {share:4.0%}"
             f"  {_minutes(status.left_s)} left",
             f"{status.flown_au:.1f}/{status.horizon_au:g} au  {status.speed_m_s:.1f} m/s"
             f"  battery {level} ({status.battery_needed:.0%} home)",
-            f"seen: {seen}",
+            _seen(status.since_seen_s),
         )
+
+
+def _seen(since_seen_s: Mapping[str, float | None]) -> str:
+    """When targets were seen; of many only those that have been out of sight for longest."""
+    ago = {name: math.inf if ago_s is None else ago_s for name, ago_s in since_seen_s.items()}
+    shown = sorted(ago, key=ago.__getitem__, reverse=True)[:_MOST_NAMED]
+    named = shown if len(ago) > _MOST_NAMED else list(ago)
+    told = (
+        f"{name} {'never' if ago[name] == math.inf else f'{ago[name]:.0f} s ago'}" for name in named
+    )
+    return f"{'longest not ' if named is shown else ''}seen: {', '.join(told)}"
 
 
 def _minutes(seconds_s: float) -> str:

@@ -26,6 +26,7 @@ from dronemon.mission import Mission
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.faults import Fault
 from dronemon.mission.load import find_mission, load_mission
+from dronemon.vision.lens import Rectifier
 from sim.camera import CameraServer
 from sim.faults import (
     FaultSchedule,
@@ -75,7 +76,14 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
             simulated = MockFlight(mission, world, tuple(options.fault), options.clock)
             await simulated.open_links(options.mavlink_out, options.signing_key)
             stack.callback(simulated.close_links)
-        camera = CameraServer(model, seed, simulated.scene, truth.write, simulated.faults.active)
+        camera = CameraServer(
+            model,
+            seed,
+            simulated.scene,
+            truth.write,
+            simulated.faults.active,
+            Rectifier.of_mission(mission),
+        )
         if isinstance(simulated, Follower):
             vehicle = simulated.run(camera)
         else:

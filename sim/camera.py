@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from dronemon.types import CameraModel, ImageArray
+from dronemon.vision.lens import Rectifier
 from sim.renderer import Renderer
 from sim.scene import Scene, with_faults
 
@@ -33,7 +34,7 @@ class CameraServer:
     A client sends REQUEST and gets ANSWER and a JPEG. `silent` leaves requests unanswered, as a
     camera does that hangs.
 
-    faults: kinds that are active now -> value
+    faults: kinds that are active now -> value; lens: what its pictures pass through
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class CameraServer:
         scene: Callable[[], Scene],
         on_capture: Callable[[Scene], None],
         faults: Mapping[str, float] = MappingProxyType({}),
+        lens: Rectifier | None = None,
     ) -> None:
         self.silent = False
         self._camera = camera
@@ -51,6 +53,7 @@ class CameraServer:
         self._scene = scene
         self._on_capture = on_capture
         self._faults = faults
+        self._lens = lens
         self._last: bytes | None = None
         self._jpeg: bytes | None = None
         self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
@@ -122,6 +125,8 @@ class CameraServer:
 
     def _photograph(self, scene: Scene) -> bytes:
         image = self._renderer.render(scene)
+        if self._lens is not None:
+            image = self._lens.as_seen(image)
         return encode(np.zeros_like(image) if "blank" in self._faults else image)
 
 

@@ -54,6 +54,7 @@ LAYERS = {
     "report": 5,
     "viewing": 5,
     "detecting": 5,
+    "calibrating": 5,
     "feasibility": 5,
     "simulator": 5,
 }
@@ -119,8 +120,6 @@ def _may_import(importer: str, imported: str) -> bool:
         return True
     if layer == 0:
         return imported in ORDER_IN_LAYER_0[: ORDER_IN_LAYER_0.index(importer)]
-    if imported == "sightings":  # the one log, which all above may read
-        return layer >= 1
     if importer == "runner":
         return other <= 3
     if layer in ALLOWED:

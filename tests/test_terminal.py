@@ -45,6 +45,19 @@ def test_a_flight_is_shown_in_any_encoding():
     assert lines[1:] == ["autopilot: höher ?"]
 
 
+def test_of_many_targets_those_out_of_sight_for_longest_are_named():
+    shown = io.StringIO()
+    console = LenientConsole(file=shown, force_terminal=False, width=80)
+    since_s = {f"zebra {n}": 10.0 * n for n in range(1, 8)} | {"zebra 8": None}
+    with FlightDisplay(console) as display:
+        display.take(Progressed(phase="patrol", flown_au=1.0, horizon_au=2.0, since_seen_s=since_s))
+    last = shown.getvalue().splitlines()[-1]
+    assert last.endswith(
+        "longest not seen: zebra 8 never, zebra 7 70 s ago, zebra 6 60 s ago, zebra 5 50 s ago,"
+        " zebra 4 40 s ago"
+    )
+
+
 @pytest.mark.parametrize("width", [80, 40])
 def test_a_flight_fits_the_terminal(width: int):
     """Only the targets may take more than a row each."""

@@ -1,6 +1,7 @@
 """Cameras: where pictures come from."""
 
 from dronemon.camera.crops import CropKeeper, crop_path
+from dronemon.camera.rectified import RectifiedCamera
 from dronemon.camera.simulated import SimulatedCamera
 from dronemon.camera.source import FrameSource, Freshness, check_picture, check_size
 from dronemon.camera.video import VideoCamera
@@ -9,6 +10,7 @@ __all__ = [
     "CropKeeper",
     "FrameSource",
     "Freshness",
+    "RectifiedCamera",
     "SimulatedCamera",
     "VideoCamera",
     "check_picture",

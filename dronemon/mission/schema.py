@@ -31,6 +31,8 @@ from dronemon.sensor import Sensor as SensorModel
 from dronemon.types import APPEARANCES, GRAVITY_M_S2, CameraModel
 
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
+Angle = Annotated[float, Field(ge=-180.0, le=180.0)]
+Angles = Annotated[tuple[Angle, Angle, Angle], Field(strict=False)]
 _TURN_S = 4.0
 
 
@@ -156,7 +158,11 @@ class Camera(Section):
     latency_s: float = Field(0.0, ge=0.0, le=5.0)
     """Age of a picture when it arrives; not for the simulated."""
     horizontal_fov_deg: float = Field(90.0, ge=10.0, le=150.0)
-    """Angle of view from the left to the right edge."""
+    """Angle of view from the left to the right edge; with a calibration, of what is looked at."""
+    calibration: str | None = None
+    """The lens, a file of `dronemon calibrate`, OpenCV or ROS; a pinhole's if absent."""
+    mount_deg: Angles = (0.0, 0.0, 0.0)
+    """[roll, pitch, yaw] of the camera on the drone; 0 looks straight down, its top to the nose."""
     timeout_s: float = Field(5.0, gt=0.0, le=60.0)
     """Wall-clock wait for a picture."""
 

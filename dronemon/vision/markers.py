@@ -21,6 +21,11 @@ FAMILIES: tuple[str, ...] = tuple(
 """Sets of markers, by OpenCV's names."""
 
 
+def dictionary_of(family: str) -> cv2.aruco.Dictionary:
+    """The markers of a set."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _PREFIX + family.upper()))
+
+
 class MarkerDetector:
     """Finds the markers whose numbers the targets' appearances are."""
 
@@ -31,9 +36,7 @@ class MarkerDetector:
                 f"family {of.family!r}: there is no such set of markers; "
                 f"{did_you_mean(of.family, FAMILIES)}there are: {', '.join(FAMILIES)}"
             )
-        dictionary = cv2.aruco.getPredefinedDictionary(
-            getattr(cv2.aruco, _PREFIX + of.family.upper())
-        )
+        dictionary = dictionary_of(of.family)
         count = len(dictionary.bytesList)
         for number in numbers:
             if number not in map(str, range(count)):
