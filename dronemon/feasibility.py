@@ -218,7 +218,16 @@ def _lens_problems(mission: Mission) -> Iterator[Problem]:
     except CameraError as exc:
         yield ("camera", "calibration"), str(exc)
         return
-    if rectifier is not None and not rectifier.sees_circle():
+    if rectifier is None:
+        return
+    needed_px = needed_px_per_m(mission) or 0.0
+    if (shown_px := rectifier.focal_px / mission.flight.altitude_m) < needed_px:
+        yield (
+            ("camera", "calibration"),
+            f"this lens shows {shown_px:.1f} pixels a metre from {mission.flight.altitude_m:g} m, "
+            f"and the detector needs {needed_px:g}; fly lower",
+        )
+    if not rectifier.sees_circle():
         yield (
             ("camera", "horizontal_fov_deg"),
             f"{camera.horizontal_fov_deg:g}: this lens, mounted so, does not show all that is to "

@@ -6,7 +6,9 @@ import asyncio
 from collections.abc import Callable
 from typing import Self
 
-from dronemon.camera.source import FrameSource, check_size
+import numpy as np
+
+from dronemon.camera.source import FrameSource, check_shows, check_size
 from dronemon.types import CameraModel, ImageArray, Picture
 
 
@@ -22,6 +24,8 @@ class RectifiedCamera:
         self._source, self._rectify, self._model = source, rectify, model
 
     async def __aenter__(self) -> Self:
+        blank = np.zeros((self._model.height_px, self._model.width_px, 3), np.uint8)
+        await asyncio.to_thread(self._rectify, blank)  # the first one takes seconds
         await self._source.__aenter__()
         return self
 
@@ -32,5 +36,6 @@ class RectifiedCamera:
         """The source's next picture, rectified. Raises CameraError, for another size, too."""
         picture = await self._source.capture()
         check_size(picture.image, self._model)
+        check_shows(picture.image)  # beside black corners, which have contrast
         image = await asyncio.to_thread(self._rectify, picture.image)
         return Picture(time_s=picture.time_s, image=image)

@@ -6,9 +6,10 @@ import math
 from typing import Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dronemon.errors import CameraError
-from dronemon.types import CameraModel, ImageArray, Picture, Pose
+from dronemon.types import CameraModel, FloatArray, ImageArray, Picture, Pose
 
 _MAX_AHEAD_S = 5.0
 """Vehicle time by which the newest pose may be behind a picture on its way."""
@@ -16,6 +17,8 @@ _MIN_CONTRAST = 8
 """Least spread of a picture's values, 0 to 255: noise alone has more."""
 
 
+_LEAST_TEXTURE = 0.25
+"""Change by a shift below which a part of a picture, such as a black corner, says nothing."""
 _MOVED_M = 1.0
 """Way after which a picture shows something else."""
 _SHIFT_PX, _FROZEN = 4, 0.2
@@ -52,7 +55,12 @@ def check_picture(picture: Picture, model: CameraModel, now_s: float, last_s: fl
         )
     if picture.time_s <= last_s:
         raise CameraError(f"a picture of {picture.time_s:.2f} s came again; does the camera hang?")
-    sample = picture.image[::8, ::8]
+    check_shows(picture.image)
+
+
+def check_shows(image: ImageArray) -> None:
+    """See whether a picture shows anything. Raises CameraError if not."""
+    sample = image[::8, ::8]
     if int(sample.max()) - int(sample.min()) < _MIN_CONTRAST:
         raise CameraError("a picture shows nothing at all; is the camera covered or broken?")
 
@@ -70,24 +78,35 @@ class Freshness:
 
     def check(self, picture: Picture, pose: Pose) -> None:
         """Take the next picture. Raises CameraError if it shows the same as the last, elsewhere."""
-        last, self._last = self._last, (picture, pose)
+        last = self._last
         if last is None:
+            self._last = picture, pose
             return
         if (
             math.dist(pose.position_ned_m, last[1].position_ned_m) < _MOVED_M
             and not self._is_frozen
         ):
             return
+        self._last = picture, pose
         self._is_frozen = _is_same(picture.image, last[0].image)
         if self._is_frozen:
             raise CameraError("a picture shows the same as the last one, elsewhere; is it frozen?")
 
 
 def _is_same(image: ImageArray, last: ImageArray) -> bool:
+    """Whether most parts of two pictures are alike: what is written over one always is."""
     green = 1  # the channel that an encoding changes least
     now, then = (i[::4, ::4, green].astype(np.int16) for i in (image, last))
-    shifted = np.abs(now[:, _SHIFT_PX:] - now[:, :-_SHIFT_PX]).mean()
-    return bool(np.abs(now - then).mean() < _FROZEN * shifted)
+    changes = _parts(np.abs(now - then)[:, _SHIFT_PX:])
+    textures = _parts(np.abs(now[:, _SHIFT_PX:] - now[:, :-_SHIFT_PX]))
+    told = textures > _LEAST_TEXTURE
+    return bool(told.any() and np.median(changes[told] / textures[told]) < _FROZEN)
+
+
+def _parts(values: NDArray[np.int16]) -> FloatArray:
+    """Means of 4 x 4 parts."""
+    rows = np.array_split(values, 4)
+    return np.array([part.mean() for row in rows for part in np.array_split(row, 4, axis=1)])
 
 
 def check_size(image: ImageArray, model: CameraModel) -> None:

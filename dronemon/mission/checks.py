@@ -84,6 +84,9 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
                 ("detector", "confusion", look),
                 f"no target looks like that; {did_you_mean(look, looks)}leave it out",
             )
+    others = {other for taken in detector.confusion.values() for other in taken}
+    if detector.kind == "drawn" and (strange := sorted(others - set(APPEARANCES))):
+        yield ("detector", "confusion"), f"kind drawn finds no {strange[0]!r}"
     for target in mission.targets:
         name = target.appearance
         if (detector.kind == "drawn" or mission.camera.is_simulated) and name not in APPEARANCES:

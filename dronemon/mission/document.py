@@ -249,7 +249,10 @@ def _fields(model: Any, key_path: KeyPath) -> Any:
         if isinstance(key, str):
             annotation = model.model_fields[key].annotation
             inside = (annotation, *typing.get_args(annotation))  # tuple[Target, ...] has a Target
-            model = next(a for a in inside if isinstance(a, type) and issubclass(a, BaseModel))
+            sections = (a for a in inside if isinstance(a, type) and issubclass(a, BaseModel))
+            model = next(sections, None)
+            if model is None:  # a mapping whose keys are the user's own
+                return {}
     return model.model_fields
 
 

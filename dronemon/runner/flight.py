@@ -226,10 +226,12 @@ class _Flight:
         )
 
     async def _brief_planner(self, start_au: FloatArray, roadmap: Roadmap) -> None:
-        """Tell it all that is known: taking in a long log keeps nobody waiting in the air."""
+        """Tell it all that is known: what it makes of a long log takes seconds."""
         setup, tally = self._setup, self._tally()
         log = tally.sightings if tally else None
-        limit_s = _RESET_LIMIT_S + _RECALL_LIMIT_S * (len(log) if log else 0)
+        limit_s = _RESET_LIMIT_S  # of a drone that hovers meanwhile
+        if log and not self._is_attached:
+            limit_s += _RECALL_LIMIT_S * len(log)
         briefing = brief(self._mission, setup.priors_au, start_au, stream="planner", sightings=log)
         reset = partial(setup.planner.reset, briefing, roadmap)
         who = f"planner '{setup.planner.name}'"

@@ -29,8 +29,8 @@ def identify(sightings: Sightings, true_au: FloatArray, looks: Sequence[str]) ->
 
     true_au: (T, N, 2) where the targets were at each measurement; looks: of each target
 
-    A sight is of the nearest true target of its look. Where a place was told before take-off, who
-    is who is known from it.
+    A sight is of the nearest true target of its look. Where a place was told before take-off, a
+    first sight of another is a switch, too. Looks that are taken for others are told apart.
     """
     numbers = np.arange(len(looks))
     is_alike = np.array([[a == b for b in looks] for a in looks])

@@ -29,8 +29,9 @@ BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while too few pictures say anything, ..."""
 _BLIND_PICTURES = 3
 """... and number of pictures that must have failed by then."""
-_ENOUGH, _NEWEST = 0.25, 0.2
-"""Share of pictures that says enough; the newest picture's weight in it."""
+_ENOUGH, _NEWEST = 0.15, 0.2
+"""Share of pictures before one that says something: a quarter of them is enough, a fifth is not;
+the newest picture's weight in it."""
 _MAX_PENDING = 8
 """Pictures that wait to be looked at; while there are so many, none is taken."""
 
@@ -96,7 +97,8 @@ class Observer:
 
     def resume(self) -> None:
         """Forget how long nothing was seen, but not what was taken."""
-        self._blind_since_s, self._is_taking = None, False
+        self._blind_since_s, self._share, self._is_taking = None, 1.0, False
+        self._freshness = Freshness()
         self._due.clear()
 
     async def photograph(self, work: asyncio.Event) -> None:
@@ -137,9 +139,9 @@ class Observer:
 
     def _see(self) -> None:
         """A picture says something; where few do, one alone does not mean that all is well."""
-        self._share += _NEWEST * (1.0 - self._share)
         if self._share >= _ENOUGH:
             self._blind_since_s = None
+        self._share += _NEWEST * (1.0 - self._share)
 
     async def look_at_the_rest(self) -> None:
         """Look at the pictures that were taken and not yet looked at when the patrol ended."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,8 @@ from dronemon.vision.lens import Lens
 from dronemon.vision.markers import FAMILIES, dictionary_of
 
 _LEAST_CORNERS = 8
+_MOST_OFF_PX = 1.0
+"""By which a corner may be off after its way through the lens and back."""
 _MARKER_SHARE = 0.75
 """Side of a marker over that of its square."""
 Points = NDArray[np.float32]
@@ -35,7 +38,9 @@ class Board:
     markers: str | None = None
 
     def __post_init__(self) -> None:
-        """Raises OptionError for markers that there are not."""
+        """Raises OptionError for markers that there are not, and for a size that is none."""
+        if not 0.0 < self.square_m < math.inf:
+            raise OptionError(f"a square's side is {self.square_m} m; it must be above 0")
         if self.markers is not None and self.markers not in FAMILIES:
             raise OptionError(
                 f"markers {self.markers!r}: there is no such family; "
@@ -109,6 +114,14 @@ def calibrate(
         distortion=np.asarray(distortion, np.float64),
         is_fisheye=is_fisheye,
     )
+    corners_px = np.concatenate([c for _, c in seen]).astype(np.float64)
+    back_px = lens.pixels(lens.rays(corners_px))
+    is_sane = 0.1 * width < matrix[0, 0] < 20.0 * width and np.isfinite(distortion).all()
+    if not (is_sane and np.abs(back_px - corners_px).max() < _MOST_OFF_PX):
+        raise CameraError(
+            "these pictures do not tell the lens: no sensible one explains them; tilt the board to "
+            "all sides, and hold it into the corners"
+        )
     return Calibrated(lens=lens, error_px=error_px, share=_share(seen, size_px))
 
 

@@ -30,6 +30,18 @@ _CAMERA_TO_BODY = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From right, down the picture, ahead of the lens to forward, right, down."""
 _ROUND_TRIP_PX = 0.5
 """A pixel whose way through the lens and back ends farther off is beyond what the lens shows."""
+_UNREADABLE = (
+    *(yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError),
+    *(ArithmeticError, RecursionError),
+)
+"""What reading a file in YAML of anybody may end in."""
+_PLAIN = (None, "plumb_bob", "rational_polynomial", "thin_prism")
+_FISHEYE = ("equidistant", "fisheye")
+"""Names of lenses, OpenCV's plain one and its fisheye."""
+_FOCAL = (1.0, 1e6)
+_NOWHERE_PX = -10.0
+_BLOCK = 64
+"""Rows of a map that are made at a time: all of a large picture would take gigabytes."""
 _NAMES = {
     "matrix": ("camera_matrix", "cameraMatrix", "K"),
     "distortion": ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D"),
@@ -40,7 +52,13 @@ _NAMES = {
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads matrices as OpenCV writes them, too."""
+    """Reads matrices as OpenCV writes them, too, and no alias, which may unfold without end."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """The next node. Raises YAMLError for an alias."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has aliases")
+        return super().compose_node(parent, index)
 
 
 def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -89,7 +107,7 @@ class Lens:
         try:
             data = yaml.load(text, _Loader)
             return cls._parse(data)
-        except (yaml.YAMLError, ValueError, TypeError, KeyError, RecursionError) as exc:
+        except _UNREADABLE as exc:
             raise CameraError(
                 f"{path}: no calibration as OpenCV, ROS or `dronemon calibrate` writes it: {exc}"
             ) from exc
@@ -100,11 +118,17 @@ class Lens:
             raise ValueError("it has no keys")
         matrix, distortion = (_numbers(_get(data, name)) for name in ("matrix", "distortion"))
         width, height = (_get(data, name) for name in ("width", "height"))
-        is_fisheye = data.get("distortion_model") in {"equidistant", "fisheye"}
-        if not (isinstance(width, int) and isinstance(height, int) and min(width, height) > 0):
+        model = data.get("distortion_model")
+        if model not in _PLAIN + _FISHEYE:
+            raise ValueError(f"its distortion_model {model!r} is not known")
+        is_fisheye = model in _FISHEYE or bool(data.get("fisheye_model"))
+        if type(width) is not int or type(height) is not int or min(width, height) < 1:
             raise ValueError("its size is no two whole numbers")
-        if matrix.size != 9 or matrix.reshape(3, 3)[0, 0] <= 0 or matrix.reshape(3, 3)[1, 1] <= 0:
-            raise ValueError("its camera matrix is no 3 x 3 numbers with focal lengths above 0")
+        if matrix.size != 9 or not _is_intrinsic(matrix.reshape(3, 3)):
+            raise ValueError(
+                "its camera matrix is not [[f, 0, u], [0, f, v], [0, 0, 1]] with focal lengths f"
+                f" of {_FOCAL[0]:g} to {_FOCAL[1]:g} pixels"
+            )
         counts = _COUNTS[:1] if is_fisheye else _COUNTS
         if distortion.size not in counts:
             raise ValueError(f"it has {distortion.size} distortion coefficients, not {counts}")
@@ -202,6 +226,11 @@ class Rectifier:
     def _outwards(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         return self._mapping(self._perfect_at)
 
+    @property
+    def focal_px(self) -> float:
+        """How much of the ground the lens tells: its focal length, or the perfect one's if less."""
+        return min(self._model.focal_px, float(self._lens.matrix[0, 0]))
+
     def sees_circle(self) -> bool:
         """Whether the real camera shows the largest circle about the perfect picture's middle."""
         middle_px = self._perfect.matrix[:2, 2]
@@ -216,7 +245,8 @@ class Rectifier:
         size_px = np.array([self._lens.width_px, self._lens.height_px])
         inside = ((seen_px >= 0.0) & (seen_px <= size_px - 1.0)).all(axis=1)
         back_px = np.full_like(seen_px, np.nan)
-        back_px[inside] = self._perfect_at(seen_px[inside])
+        if inside.any():
+            back_px[inside] = self._perfect_at(seen_px[inside])
         # Beyond its angle of view the polynomial of a lens may lead back into the picture.
         off_px = np.linalg.norm(back_px - pixels_px, axis=1)
         return np.where((off_px <= _ROUND_TRIP_PX)[:, None], seen_px, np.nan)
@@ -229,10 +259,14 @@ class Rectifier:
         self, of: Callable[[FloatArray], FloatArray]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """For each pixel of one picture where it lies in the other, or outside of that."""
-        rows, columns = np.mgrid[: self._model.height_px, : self._model.width_px]
-        there_px = of(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
-        there_px = np.nan_to_num(there_px, nan=-10.0).astype(np.float32)
-        x, y = (np.ascontiguousarray(there_px[:, i].reshape(rows.shape)) for i in (0, 1))
+        height, width = self._model.height_px, self._model.width_px
+        x, y = (np.empty((height, width), np.float32) for _ in range(2))
+        for first in range(0, height, _BLOCK):
+            last = min(first + _BLOCK, height)
+            rows, columns = np.mgrid[first:last, :width]
+            there_px = of(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
+            there_px = np.nan_to_num(there_px, nan=_NOWHERE_PX).clip(-1e6, 1e6)
+            x[first:last], y[first:last] = (there_px[:, i].reshape(rows.shape) for i in (0, 1))
         return x, y
 
 
@@ -248,6 +282,12 @@ def _get(data: Mapping[str, Any], what: str) -> Any:
         if name in data:
             return data[name]
     raise ValueError(f"it has no {_NAMES[what][0]}")
+
+
+def _is_intrinsic(matrix: FloatArray) -> bool:
+    zeros_and_one = np.array_equal(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1])
+    focal = matrix[[0, 1], [0, 1]]
+    return bool(zeros_and_one and (focal >= _FOCAL[0]).all() and (focal <= _FOCAL[1]).all())
 
 
 def _numbers(given: Any) -> FloatArray:

@@ -39,7 +39,7 @@ _OTHERS = 0.02
 """Density per au^2 of finds that are none of the targets, at least."""
 _MOST_SEEN = 0.98
 """A target in view is never surer to be found than that."""
-_NEVER = 1e6
+_NEVER = 1e-300
 Confusion = Mapping[str, Mapping[str, float]]
 _NONE: Confusion = MappingProxyType({})
 
@@ -107,18 +107,15 @@ class Owners:
         ]
         if not finds:
             return owners
+        cost = np.full((len(finds), len(alike) + len(finds)), -math.log(_OTHERS))
         reach = _reach(sightings, alike)
-        cost = np.full((len(finds), len(alike) + len(finds)), _NEVER)
         for column, target in enumerate(alike):
-            spread_au, place_au = _whereabouts(sightings, target, time_au, reach)
-            in_view = _in_view(place_au, spread_au, agent_au)
-            gain = self._found / (1.0 - self._found * in_view)
+            where = _whereabouts(sightings, target, time_au, reach)
+            gain = self._found / (1.0 - self._found * _in_view(*where, agent_au))
             for row, find in enumerate(finds):
                 taken = self._taken[self._looks[target]].get(looks[find], 0.0)
-                density = _density(places_au[find], place_au, spread_au)
-                cost[row, column] = -math.log(max(gain * taken * density, 1e-300))
-        for row in range(len(finds)):
-            cost[row, len(alike) + row] = -math.log(_OTHERS)
+                density = _density(places_au[find], *where)
+                cost[row, column] = -math.log(max(gain * taken * density, _NEVER))
         chosen: IntArray = linear_sum_assignment(cost)[1]
         for find, column in zip(finds, chosen.tolist(), strict=True):
             if column < len(alike):
@@ -128,7 +125,7 @@ class Owners:
 
 def _taken_for(look: str, confusion: Confusion) -> dict[str, float]:
     """How often a target of a look is found as what."""
-    others = dict(confusion.get(look, {}))
+    others = {other: share for other, share in confusion.get(look, {}).items() if share > 0.0}
     return {look: 1.0 - sum(others.values()), **others}
 
 
@@ -156,7 +153,7 @@ def _whereabouts(
     )
 
 
-def _density(at_au: FloatArray, place_au: FloatArray | None, spread_au: float) -> float:
+def _density(at_au: FloatArray, spread_au: float, place_au: FloatArray | None) -> float:
     """Of a target at a place, per au^2; one that may be anywhere is as likely here as there."""
     if place_au is None:
         return 1.0
@@ -165,7 +162,7 @@ def _density(at_au: FloatArray, place_au: FloatArray | None, spread_au: float) -
     return (1.0 - _ANYWHERE) * near + _ANYWHERE
 
 
-def _in_view(place_au: FloatArray | None, spread_au: float, agent_au: FloatArray) -> float:
+def _in_view(spread_au: float, place_au: FloatArray | None, agent_au: FloatArray) -> float:
     """Chance that a target is in view."""
     view = math.pi * SENSOR_RADIUS_AU**2
     if place_au is None:

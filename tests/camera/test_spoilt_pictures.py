@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dronemon.camera import Freshness, SimulatedCamera, check_picture
+from dronemon.camera import Freshness, RectifiedCamera, SimulatedCamera, check_picture
 from dronemon.errors import CameraError
-from dronemon.types import CameraModel, Picture, Pose
+from dronemon.types import CameraModel, ImageArray, Picture, Pose
 
 MODEL = CameraModel(width_px=64, height_px=48, horizontal_fov_rad=1.0)
 NOISE = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
@@ -113,3 +113,47 @@ def test_a_view_that_comes_again_elsewhere_is_refused_also_encoded_anew(quality:
         with pytest.raises(CameraError, match="is it frozen"):
             freshness.check(Picture(time_s=time_s, image=again), elsewhere)
     freshness.check(Picture(time_s=4.0, image=next_one), elsewhere)
+
+
+def test_what_is_written_over_a_view_or_hides_its_corners_freezes_nothing():
+    """Flat ground seldom changes by more than the text that a camera writes over it."""
+    rng = np.random.default_rng(1)
+    ground = (128.0 + cv2.GaussianBlur(rng.normal(0.0, 8.0, (300, 300, 3)), (0, 0), 3.0)).round()
+    freshness = Freshness()
+    for step in range(5):
+        view = ground[10 * step : 10 * step + 240].astype(np.uint8)
+        cv2.putText(view, "REC 12:00", (10, 40), cv2.FONT_HERSHEY_SIMPLEX, 1.2, (255, 255, 255), 3)
+        view[200:, :60] = 0
+        freshness.check(Picture(time_s=float(step), image=view), _seen_from(6.0 * step))
+
+
+def test_a_view_that_freezes_while_the_drone_creeps_is_told():
+    freshness, image = Freshness(), np.repeat(NOISE, 4, axis=0).repeat(4, axis=1)
+    freshness.check(Picture(time_s=0.0, image=image), _seen_from(0.0))
+    freshness.check(Picture(time_s=1.0, image=image), _seen_from(0.9))
+    with pytest.raises(CameraError, match="is it frozen"):
+        freshness.check(Picture(time_s=2.0, image=image), _seen_from(1.8))
+
+
+def test_a_covered_lens_has_no_contrast_for_its_black_corners():
+    class Covered:
+        async def __aenter__(self) -> Covered:
+            return self
+
+        async def __aexit__(self, *_: object) -> None:
+            pass
+
+        async def capture(self) -> Picture:
+            return Picture(time_s=1.0, image=np.full((48, 64, 3), 60, np.uint8))
+
+    def with_corner(image: ImageArray) -> ImageArray:
+        image = image.copy()
+        image[:8, :8] = 0
+        return image
+
+    async def story() -> None:
+        async with RectifiedCamera(Covered(), with_corner, MODEL) as camera:
+            await camera.capture()
+
+    with pytest.raises(CameraError, match="nothing at all"):
+        asyncio.run(story())

@@ -138,6 +138,22 @@ def test_a_herd_is_one_entry_and_what_is_wrong_behind_it_is_told_by_its_line(tmp
     assert message.startswith(":12: targets[2].name: 'Bella 2' is already the name of target 1")
 
 
+@pytest.mark.parametrize(
+    ("confusion", "words"),
+    [
+        ("{cow: 3}", "confusion.cow"),
+        ("{cow: {fox: .nan}}", "confusion.cow.fox"),
+        ("{cow: {fox: true}}", "confusion.cow.fox"),
+        ("{cow: {cat: 0.1}}", "finds no 'cat'"),
+    ],
+)
+def test_wrong_confusion_is_told(tmp_path: Path, confusion: str, words: str):
+    text = ANIMALS.replace("simulation:", f"detector: {{confusion: {confusion}}}\nsimulation:", 1)
+    message = _error(tmp_path, text)
+    assert message.startswith(":15: "), message
+    assert words in message
+
+
 @pytest.mark.parametrize("text", ["", "3", "- a\n- b", "just words"])
 def test_a_file_that_is_no_mapping(tmp_path: Path, text: str):
     assert "mapping of sections" in _error(tmp_path, text)

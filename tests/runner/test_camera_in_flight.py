@@ -138,7 +138,7 @@ def _in_turn(share: int) -> Callable[..., tuple[()]]:
     return detect
 
 
-@pytest.mark.parametrize(("share", "is_enough"), [(2, True), (12, False)])
+@pytest.mark.parametrize(("share", "is_enough"), [(2, True), (3, True), (6, False), (12, False)])
 def test_few_pictures_that_say_something_are_not_enough(flight, share, is_enough):
     flight.mission_text = LONGER
     flight.detector.detect = _in_turn(share)

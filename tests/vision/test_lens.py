@@ -52,8 +52,8 @@ def test_what_passes_a_lens_is_made_straight_again(
 def test_a_tilted_camera_sees_what_lies_to_that_side(
     mount_deg: tuple[float, float, float], middle_px: tuple[float, float]
 ) -> None:
-    """Nose up looks ahead, which is up in the picture; left side up looks to the left ... its
-    right side down; turned to the right first, ahead of the camera is right of the drone."""
+    """Its nose up it looks ahead, up in the picture; its right side up it looks right; and if it is
+    turned to the right first, its ahead is the drone's right."""
     roll, pitch, yaw = (math.radians(angle) for angle in mount_deg)
     pinhole = Lens.of(MODEL)
     image = np.zeros((240, 320, 3), np.uint8)
@@ -70,7 +70,10 @@ def test_a_lens_that_sees_less_than_is_looked_at_is_told_and_black_there() -> No
     white = np.full((240, 320, 3), 255, np.uint8)
     assert rectifier(white)[2:5, 2:5].max() == 0
     assert rectifier(white)[120, 160].min() == 255
-    assert not Rectifier(WIDE, (0.0, math.radians(60.0), 0.0), MODEL).sees_circle()
+    for mount_deg in ((0.0, 60.0, 0.0), (0.0, 90.0, 0.0), (180.0, 0.0, 0.0), (0.0, 0.0, 45.0)):
+        roll, pitch, yaw = (math.radians(angle) for angle in mount_deg)
+        sees = Rectifier(WIDE, (roll, pitch, yaw), MODEL).sees_circle()
+        assert sees == (mount_deg == (0.0, 0.0, 45.0))
 
 
 FILES = {
@@ -123,11 +126,19 @@ def test_calibrations_of_others_are_read(tmp_path: Path, text: str) -> None:
     [
         ("camera_matrix", "matrix", "no camera_matrix"),
         ("image_width: 320", "image_width: wide", "size"),
-        ("200", "-200", "focal lengths above 0"),
+        ("200", "-200", "focal lengths f of"),
         ("165", ".nan", "not finite"),
         ("165", "900", "outside the picture"),
         ("-0.28, 0.09, 0.001", "-0.28", "3 distortion coefficients"),
         ("plumb_bob", "equidistant", "5 distortion coefficients, not (4,)"),
+        ("plumb_bob", "plumb_bob\nfisheye_model: 1", "5 distortion coefficients, not (4,)"),
+        ("plumb_bob", "fov", "'fov' is not known"),
+        ("data: [200, 0,", "data: [200, 7,", "camera matrix is not"),
+        ("[200, 0,", "[1e308, 0,", "focal lengths f of"),
+        ("200", "1" + 400 * "0", "eye.yaml"),
+        ("camera_name: eye", "camera_name: !!int ''", "eye.yaml"),
+        ("camera_name: eye", "camera_name: !!timestamp foo", "eye.yaml"),
+        ("camera_name: eye", "a: &a [1]\nb: [*a, *a]", "aliases"),
         ("camera_name: eye", "camera_name: !!python/object/apply:os.getcwd []", "constructor"),
         ("[200, 0,", "[two, 0,", "two"),
         ("image_width", "- image_width", "calibration"),
