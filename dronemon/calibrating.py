@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -12,14 +12,12 @@ import typer
 from dronemon.camera.pictures import pictures_of
 from dronemon.errors import CameraError, OptionError, writing
 from dronemon.terminal import console, print_path
-from dronemon.types import ImageArray
 from dronemon.vision.calibration import Board, Calibrated, Points, calibrate
 
 _LEAST_PICTURES = 8
 _GOOD_ERROR_PX = 1.0
 _GOOD_SHARE = 0.6
 """Share of the picture's width and height in which the board was seen."""
-
 
 PicturesArgument = Annotated[
     str, typer.Argument(help="A folder of pictures of the board, or a video of it.")
@@ -56,25 +54,7 @@ def calibrate_command(
     if out.exists():
         raise OptionError(f"--out {out}: is there already; name another file")
     wanted = Board(columns=columns, rows=rows, square_m=square_m, markers=markers)
-    seen: list[tuple[Points, Points]] = []
-    size_px: tuple[int, int] | None = None
-    for number, (name, image) in enumerate(_looked_at(pictures, every), start=1):
-        height, width = image.shape[:2]
-        if size_px is not None and size_px != (width, height):
-            raise CameraError(
-                f"{name}: has {width} x {height} pixels, the others {size_px[0]} x {size_px[1]}; "
-                "give pictures of one camera in one mode"
-            )
-        size_px = width, height
-        if (found := wanted.find(image)) is not None:
-            seen.append(found)
-        told = f"{len(found[0])} corners" if found else "no board"
-        console.print(f"{number}. {name}: {told}", soft_wrap=True, markup=False)
-    if size_px is None or len(seen) < _LEAST_PICTURES:
-        raise CameraError(
-            f"{pictures}: the board was found in {len(seen)} pictures, and {_LEAST_PICTURES} are "
-            f"needed; is it {board}, flat, whole and sharp in them?"
-        )
+    seen, size_px = _found(wanted, pictures, every)
     result = calibrate(seen, size_px, is_fisheye=fisheye)
     with writing("--out", out):
         out.write_text(result.lens.text(), encoding="utf-8")
@@ -82,10 +62,31 @@ def calibrate_command(
     print_path(out)
 
 
-def _looked_at(source: str, every: int) -> Iterator[tuple[str, ImageArray]]:
-    for index, picture in enumerate(pictures_of(source)):
-        if index % every == 0:
-            yield picture
+def _found(
+    board: Board, source: str, every: int
+) -> tuple[list[tuple[Points, Points]], tuple[int, int]]:
+    """The board's corners in each picture that shows it, and the pictures' size in pixels."""
+    seen: list[tuple[Points, Points]] = []
+    size_px: tuple[int, int] | None = None
+    pictures = islice(pictures_of(source), 0, None, every)
+    for number, (name, image) in enumerate(pictures, start=1):
+        height, width = image.shape[:2]
+        if size_px is not None and size_px != (width, height):
+            raise CameraError(
+                f"{name}: has {width} x {height} pixels, the others {size_px[0]} x {size_px[1]}; "
+                "give pictures of one camera in one mode"
+            )
+        size_px = width, height
+        if (found := board.find(image)) is not None:
+            seen.append(found)
+        told = f"{len(found[0])} corners" if found else "no board"
+        console.print(f"{number}. {name}: {told}", soft_wrap=True, markup=False)
+    if size_px is None or len(seen) < _LEAST_PICTURES:
+        raise CameraError(
+            f"{source}: the board was found in {len(seen)} pictures, and {_LEAST_PICTURES} are "
+            f"needed; is it {board.columns}x{board.rows}, flat, whole and sharp in them?"
+        )
+    return seen, size_px
 
 
 def _tell(result: Calibrated, num_seen: int) -> None:

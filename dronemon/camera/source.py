@@ -15,8 +15,6 @@ _MAX_AHEAD_S = 5.0
 """Vehicle time by which the newest pose may be behind a picture on its way."""
 _MIN_CONTRAST = 8
 """Least spread of a picture's values, 0 to 255: noise alone has more."""
-
-
 _LEAST_TEXTURE = 0.25
 """Change by a shift below which a part of a picture, such as a black corner, says nothing."""
 _MOVED_M = 1.0

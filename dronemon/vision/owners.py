@@ -107,20 +107,34 @@ class Owners:
         ]
         if not finds:
             return owners
-        cost = np.full((len(finds), len(alike) + len(finds)), -math.log(_OTHERS))
-        reach = _reach(sightings, alike)
-        for column, target in enumerate(alike):
-            where = _whereabouts(sightings, target, time_au, reach)
-            gain = self._found / (1.0 - self._found * _in_view(*where, agent_au))
-            for row, find in enumerate(finds):
-                taken = self._taken[self._looks[target]].get(looks[find], 0.0)
-                density = _density(places_au[find], *where)
-                cost[row, column] = -math.log(max(gain * taken * density, _NEVER))
+        own_looks = [looks[find] for find in finds]
+        cost = self._costs(own_looks, places_au[finds], alike, agent_au, time_au, sightings)
         chosen: IntArray = linear_sum_assignment(cost)[1]
         for find, column in zip(finds, chosen.tolist(), strict=True):
             if column < len(alike):
                 owners[find] = alike[column]
         return owners
+
+    def _costs(
+        self,
+        looks: Sequence[str],
+        places_au: FloatArray,
+        targets: Sequence[int],
+        agent_au: FloatArray,
+        time_au: float,
+        sightings: Sightings,
+    ) -> FloatArray:
+        """How unlikely each find is each target, and then nobody. -> (D, N + D)"""
+        cost = np.full((len(looks), len(targets) + len(looks)), -math.log(_OTHERS))
+        reach = _reach(sightings, targets)
+        for column, target in enumerate(targets):
+            where = _whereabouts(sightings, target, time_au, reach)
+            gain = self._found / (1.0 - self._found * _in_view(*where, agent_au))
+            for row, look in enumerate(looks):
+                taken = self._taken[self._looks[target]].get(look, 0.0)
+                density = _density(places_au[row], *where)
+                cost[row, column] = -math.log(max(gain * taken * density, _NEVER))
+        return cost
 
 
 def _taken_for(look: str, confusion: Confusion) -> dict[str, float]:
@@ -148,9 +162,8 @@ def _whereabouts(
     if not sights:
         return math.inf, None
     since_au = max(time_au - sights[-1].time_au, 0.0)
-    return math.hypot(math.sqrt(2.0) * _ERROR_AU, reach * since_au**_TURNING), np.array(
-        sights[-1][1:]
-    )
+    spread_au = math.hypot(math.sqrt(2.0) * _ERROR_AU, reach * since_au**_TURNING)
+    return spread_au, np.array(sights[-1][1:])
 
 
 def _density(at_au: FloatArray, spread_au: float, place_au: FloatArray | None) -> float:
