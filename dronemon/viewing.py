@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 from typing import Annotated
@@ -16,6 +17,7 @@ from dronemon.terminal import console, print_warning
 from dronemon.viz.page import find_viewer
 
 _PORT = View().port
+_END_TIMEOUT_S = 3.0
 PortOption = Annotated[int, typer.Option(min=1024, max=65535, help="Of the data, on 127.0.0.1.")]
 
 
@@ -46,7 +48,11 @@ def show(folder: RunFolder, port: int) -> None:
         status = program.wait()
     except KeyboardInterrupt:
         program.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            program.wait(_END_TIMEOUT_S)
+        return
+    finally:
+        program.kill()  # a busy one may not heed us, and a person may not wait: a second Ctrl-C
         program.wait()
-    else:
-        if status:
-            raise ViewError(f"the Rerun viewer ended with status {status}")
+    if status:
+        raise ViewError(f"the Rerun viewer ended with status {status}")

@@ -1,6 +1,6 @@
 """Waypoints that every planner chose on development seeds, to the last digit.
 
-    NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= python tests/golden/decisions.py    # writes anew
+    NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= python tests/golden/decisions.py --write-anew
 
 First written before the restructuring that this file is to hold still; a commit that writes them
 anew says why. Machine code for one processor rounds otherwise than for another, hence `generic`,
@@ -10,6 +10,8 @@ which `tests/conftest.py` sets.
 from __future__ import annotations
 
 import json
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,6 +59,8 @@ def load() -> Flown:
 
 
 if __name__ == "__main__":
+    if sys.argv[1:] != ["--write-anew"] or os.environ.get("NUMBA_CPU_NAME") != "generic":
+        sys.exit(__doc__)
     rows = [
         f"{json.dumps(name)}: {json.dumps(waypoints(*episode))}" for name, *episode in episodes()
     ]

@@ -9,6 +9,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partialmethod
 from importlib.util import find_spec
@@ -695,28 +696,67 @@ def test_on_a_display_a_window_opens(name: str, monkeypatch: pytest.MonkeyPatch)
     assert "127.0.0.1" in viewer.command
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_recording_is_shown_until_a_signal(tmp_path: Path, number: int) -> None:
-    run, port = tmp_path / "run", free_port()
+@pytest.fixture
+def start_view(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts `dronemon view` on a recording; whatever of it still runs is killed with the test."""
+    run = tmp_path / "run"
     run.mkdir()
     for name in ("mission.yaml", "summary.json", *LINE_FILES):
         (run / name).write_text("{}")
     with view(run / "flight.rrd") as shown:
         fly(shown)
-    child = subprocess.Popen(
-        [sys.executable, "-m", "dronemon.cli", "view", str(run), "--port", str(port)],
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    with ExitStack() as running:
+
+        def start(port: int, **environment: str) -> subprocess.Popen[str]:
+            child = subprocess.Popen(
+                [sys.executable, "-m", "dronemon.cli", "view", str(run), "--port", str(port)],
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+                env=os.environ | environment,
+            )
+            running.enter_context(child)
+            running.callback(_kill_group, child.pid)
+            return child
+
+        yield start
+
+
+def _kill_group(pid: int) -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_recording_is_shown_until_a_signal(
+    start_view: Callable[..., subprocess.Popen[str]], number: int
+) -> None:
+    port = free_port()
+    child = start_view(port)
     assert child.stdout is not None
-    with child.stdout:
-        url = child.stdout.readline().strip()  # alone on its line, to be copied
-        wait_until(lambda: is_served(url))
-        wait_until(lambda: is_open(port))
-        os.kill(child.pid, number)
-        assert child.wait(30.0) == 0
+    url = child.stdout.readline().strip()  # alone on its line, to be copied
+    wait_until(lambda: is_served(url))
+    wait_until(lambda: is_open(port))
+    os.kill(child.pid, number)
+    assert child.wait(30.0) == 0
     assert not is_open(port)
+
+
+def test_a_viewer_that_does_not_heed_is_ended_all_the_same(
+    start_view: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    """Seen of a real one on a busy machine: the first signal kept us waiting without a limit."""
+    package, started = tmp_path / "rerun_cli", tmp_path / "started"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    program = package / "rerun"
+    program.write_text(f"#!/bin/sh\ntrap '' INT TERM HUP\necho $$ > {started}\nexec sleep 60\n")
+    program.chmod(0o755)
+    child = start_view(free_port(), PYTHONPATH=f"{tmp_path}:{REPOSITORY}")
+    wait_until(lambda: started.is_file() and started.read_text().endswith("\n"))
+    os.kill(child.pid, signal.SIGTERM)
+    assert child.wait(30.0) == 0
+    assert not psutil.pid_exists(int(started.read_text()))
 
 
 def test_nothing_is_served_without_a_live_view(tmp_path: Path) -> None:
