@@ -107,7 +107,7 @@ def _reposition(autopilot: Autopilot, params: tuple[float, ...]) -> int:
     speed, flags, _, yaw, latitude, longitude, altitude = params
     if whole(flags) != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
         return UNSUPPORTED
-    if math.isnan(latitude) or math.isnan(longitude):
+    if not (math.isfinite(latitude) and math.isfinite(longitude)):
         return DENIED
     target = autopilot.map.to_ned(latitude, longitude, altitude)
     return ACCEPTED if autopilot.reposition(target, yaw, speed) else REJECTED
@@ -119,7 +119,7 @@ def _set_home(autopilot: Autopilot, params: tuple[float, ...]) -> int:
     if params[0] == 1.0:
         autopilot.set_home_here(is_forced=True)
         return ACCEPTED
-    if any(math.isnan(v) for v in params[4:]):
+    if not all(math.isfinite(v) for v in params[4:]):
         return DENIED
     autopilot.set_home(list(autopilot.map.to_ned(*params[4:])))
     return ACCEPTED

@@ -1,41 +1,30 @@
-"""Latitude and longitude near an origin, fast: linear in metres, with `frames`' own scale."""
+"""Latitude and longitude of local places: `frames`' own, with heights as PX4 has them."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
-import numpy as np
-
-from dronemon.frames import GeoPoint, ned_to_geo
+from dronemon.frames import GeoPoint, geo_to_ned, ned_to_geo
 from dronemon.types import Vector3
-
-_BASE_M = 100.0
 
 
 class LocalMap:
-    """Converts between the local frame and degrees; within 0.1 m of `frames` up to 1 km away."""
+    """Converts between the local frame and degrees, anywhere on earth.
+
+    Height is altitude above the origin, as PX4 has it: the earth does not fall away with distance.
+    """
 
     def __init__(self, origin: GeoPoint) -> None:
         self._origin = origin
-        north = ned_to_geo(np.array([_BASE_M, 0.0, 0.0]), origin)
-        east = ned_to_geo(np.array([0.0, _BASE_M, 0.0]), origin)
-        self._deg_per_m_north = (north.latitude_deg - origin.latitude_deg) / _BASE_M
-        self._deg_per_m_east = (east.longitude_deg - origin.longitude_deg) / _BASE_M
 
     def to_geo(self, position_ned_m: list[float] | Vector3) -> tuple[float, float, float]:
         """Latitude, longitude in degrees and altitude in metres above mean sea level."""
         north, east, down = position_ned_m
-        return (
-            self._origin.latitude_deg + north * self._deg_per_m_north,
-            self._origin.longitude_deg + east * self._deg_per_m_east,
-            self._origin.altitude_m - down,
-        )
+        place = ned_to_geo((north, east, 0.0), self._origin)
+        return place.latitude_deg, place.longitude_deg, self._origin.altitude_m - down
 
     def to_ned(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Vector3:
         """Local position; a NaN altitude gives a NaN down."""
-        turn_deg = math.remainder(longitude_deg - self._origin.longitude_deg, 360.0)
-        return (
-            (latitude_deg - self._origin.latitude_deg) / self._deg_per_m_north,
-            turn_deg / self._deg_per_m_east,
-            self._origin.altitude_m - altitude_m,
-        )
+        place = replace(self._origin, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+        north, east, _ = geo_to_ned(place, self._origin).tolist()
+        return north, east, self._origin.altitude_m - altitude_m

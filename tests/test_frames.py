@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from dronemon.frames import (
@@ -67,7 +67,9 @@ def test_time_unit_is_one_side_at_cruise_speed():
     assert _frame().au_to_s(30.0) == pytest.approx(1200.0)
 
 
-@given(metres, metres, st.floats(-100, 100), st.floats(-60, 60), st.floats(-180, 180))
+@given(metres, metres, st.floats(-100, 100), st.floats(-90, 90), st.floats(-180, 180))
+@example(500.0, 300.0, -35.0, 90.0, 0.0)
+@example(-500.0, 300.0, -35.0, -90.0, 180.0)
 def test_geo_to_ned_and_back(north: float, east: float, down: float, lat: float, lon: float):
     origin = GeoPoint(latitude_deg=lat, longitude_deg=lon, altitude_m=400.0)
     there = ned_to_geo(np.array([north, east, down]), origin)

@@ -127,6 +127,25 @@ def test_a_short_flight_from_take_off_to_landing(fly: Callable[..., Flight]):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(0.0, 180.0), (89.99, -180.0)])
+def test_a_flight_at_the_edge_of_the_map(
+    fly: Callable[..., Flight], tmp_path: Path, latitude_deg: float, longitude_deg: float
+):
+    """Where longitudes jump, and near a pole: the mock once died at the one, and was 49 m off."""
+    mission = tmp_path / "edge.yaml"
+    place = f"area:\n  latitude_deg: {latitude_deg}\n  longitude_deg: {longitude_deg}"
+    text = (ROOT / "missions" / "animals.yaml").read_text(encoding="utf-8")
+    mission.write_text(text.replace("area:", place), encoding="utf-8")
+    flight = fly("--mission", str(mission), "--horizon-au", "1")
+    code, output = flight.finish()
+    assert code == 0, output
+    summary = flight.summary()
+    assert summary["outcome"] == "completed"
+    assert summary["landing_error_m"] < 3.0
+    assert len(flight.lines("observations")) == 10
+
+
+@pytest.mark.slow
 def test_observations_are_where_the_animals_are(fly: Callable[..., Flight]):
     """The whole chain of projections: a sign error anywhere puts animals metres away."""
     flight = fly("--mission", "animals", "--planner", "tsp", "--horizon-au", "2", "--seed", "3")

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ground_station import make_mission
+from hypothesis import example, given
+from hypothesis import strategies as st
 
-from dronemon.frames import GeoPoint, ned_to_geo
+from dronemon.frames import GeoPoint, geo_to_ned, ned_to_geo
 from dronemon.mission.faults import Fault, parse_fault
 from dronemon.types import Pose
 from sim.faults import FaultSchedule, parse_camera_fault, parse_vehicle_fault
@@ -86,15 +88,32 @@ def test_mock_stands_at_the_areas_coordinates() -> None:
     assert (latitude, longitude) == pytest.approx((-33.9, 18.4), abs=1e-6)
 
 
-def test_local_map_agrees_with_the_exact_one() -> None:
-    local = LocalMap(ORIGIN)
-    for place in ((300.0, -400.0, -30.0), (-700.0, 500.0, 10.0)):
-        exact = ned_to_geo(np.array(place), ORIGIN)
-        latitude, longitude, altitude = local.to_geo(place)
-        assert (latitude - exact.latitude_deg) * 111e3 == pytest.approx(0.0, abs=0.15)
-        assert (longitude - exact.longitude_deg) * 76e3 == pytest.approx(0.0, abs=0.15)
-        assert altitude == pytest.approx(exact.altitude_m, abs=0.15)
-        assert local.to_ned(latitude, longitude, altitude) == pytest.approx(place, abs=1e-6)
+@given(
+    st.floats(-90.0, 90.0),
+    st.sampled_from([-180.0, -179.9999, -0.0001, 0.0, 8.5, 179.9999, 180.0]),
+    st.tuples(st.floats(-2000.0, 2000.0), st.floats(-2000.0, 2000.0), st.floats(-200.0, 50.0)),
+)
+@example(90.0, 0.0, (500.0, 300.0, -35.0))
+@example(-90.0, 180.0, (-500.0, 300.0, -35.0))
+def test_a_place_that_the_mock_tells_is_where_it_is_anywhere_on_earth(
+    latitude_deg: float, longitude_deg: float, place: tuple[float, float, float]
+) -> None:
+    """Of what MAVLink carries, whole numbers of 1e-7 degrees, `frames` makes the same place."""
+    origin = GeoPoint(latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_m=400.0)
+    local = LocalMap(origin)
+    latitude, longitude, altitude = local.to_geo(place)
+    assert abs(latitude) <= 90.0
+    assert abs(longitude) <= 180.0
+    assert local.to_ned(latitude, longitude, altitude) == pytest.approx(place, abs=1e-2)
+    told = GeoPoint(
+        latitude_deg=round(latitude * 1e7) / 1e7,
+        longitude_deg=round(longitude * 1e7) / 1e7,
+        altitude_m=round(altitude * 1e3) / 1e3,
+    )
+    radius_m, away_m = 6.33e6, math.hypot(*place[:2])
+    there, spread_m = geo_to_ned(told, origin), away_m * abs(place[2]) / radius_m
+    assert there[:2] == pytest.approx(place[:2], abs=0.01 + spread_m)
+    assert there[2] - place[2] == pytest.approx(away_m**2 / (2.0 * radius_m), abs=0.02)
 
 
 def test_truth_file_has_a_line_for_each_scene(tmp_path: Path) -> None:
