@@ -389,9 +389,13 @@ _ELSEWHERE = {
         "dronemon.explain.otherwise",
         "Ask another planner at each decision of a flight, on the same sightings.",
     ),
-    "calibrate": (
-        "dronemon.calibrating",
+    "calibrate intrinsics": (
+        "dronemon.calibrating.intrinsics",
         "Measure a camera's lens from pictures of a chessboard, for camera.calibration.",
+    ),
+    "calibrate detector": (
+        "dronemon.calibrating.detector",
+        "Measure how a detector errs on pictures that you have labelled, for sensor.",
     ),
     "evaluate": (
         "dronemon.evaluation.command",
@@ -402,13 +406,14 @@ _ELSEWHERE = {
         "Train a policy. Kill it whenever you like: the same command goes on where it was.",
     ),
 }
-"""Commands that are defined elsewhere, as NAME_command of a module, and what they are for."""
+"""Commands that are defined elsewhere, as WORD_command of a module, and what they are for."""
+_GROUPS = {"calibrate": "Measure what a mission has to say of its camera and detector."}
 
 
-def _add_command(name: str, module: str, about: str) -> None:
-    @app.command(name, help=about, add_help_option=False, context_settings=_REST)
+def _add_command(parent: typer.Typer, word: str, module: str, about: str) -> None:
+    @parent.command(word, help=about, add_help_option=False, context_settings=_REST)
     def run(context: typer.Context) -> None:
-        _hand_on(context, getattr(importlib.import_module(module), f"{name}_command"))
+        _hand_on(context, getattr(importlib.import_module(module), f"{word}_command"))
 
 
 def _hand_on(context: typer.Context, command: Callable[..., None]) -> None:
@@ -422,8 +427,12 @@ def _hand_on(context: typer.Context, command: Callable[..., None]) -> None:
     rest(args=context.args, prog_name=context.command_path)
 
 
+_parents = {"": app} | {name: typer.Typer(no_args_is_help=True) for name in _GROUPS}
+for _name, _about in _GROUPS.items():
+    app.add_typer(_parents[_name], name=_name, help=_about)
 for _name, (_module, _about) in _ELSEWHERE.items():
-    _add_command(_name, _module, _about)
+    _group, _, _word = _name.rpartition(" ")
+    _add_command(_parents[_group], _word, _module, _about)
 
 if __name__ == "__main__":
     main()

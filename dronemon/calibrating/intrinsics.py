@@ -1,4 +1,4 @@
-"""`dronemon calibrate`: what a mission has to say of a camera's lens, measured."""
+"""`dronemon calibrate intrinsics`: what a mission has to say of a camera's lens, measured."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FisheyeOption = Annotated[
 EveryOption = Annotated[int, typer.Option(min=1, help="Look at every n-th picture only.")]
 
 
-def calibrate_command(
+def intrinsics_command(
     pictures: PicturesArgument,
     board: BoardOption = "9x6",
     square_m: SquareOption = 0.025,

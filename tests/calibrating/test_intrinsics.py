@@ -1,4 +1,4 @@
-"""`dronemon calibrate` writes a file that a mission can name, or says what is wrong."""
+"""`dronemon calibrate intrinsics` writes a file that a mission can name, or says what is wrong."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from boards import WIDE, photographs
 
-from dronemon.calibrating import calibrate_command
+from dronemon.calibrating.intrinsics import intrinsics_command
 from dronemon.errors import CameraError, DronemonError
 from dronemon.feasibility import load_checked
 from dronemon.vision.calibration import Board
@@ -43,7 +43,7 @@ def test_a_measured_lens_is_what_a_mission_flies_with(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "eye.yaml"
-    calibrate_command(str(folder), "7x6", 0.02, None, out)
+    intrinsics_command(str(folder), "7x6", 0.02, None, out)
     said = capsys.readouterr().out
     assert "1. 00.png: " in said
     assert "pixels off" in said
@@ -58,7 +58,7 @@ def test_a_measured_lens_is_what_a_mission_flies_with(
     with pytest.raises(DronemonError, match="is for pictures of 320 x 240 pixels"):
         load_checked(str(tmp_path / "other.yaml"), {}, None)
     with pytest.raises(DronemonError, match="is there already"):
-        calibrate_command(str(folder), "7x6", 0.02, None, out)
+        intrinsics_command(str(folder), "7x6", 0.02, None, out)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_what_cannot_be_measured_is_told(
     folder: Path, tmp_path: Path, board: str, words: str
 ) -> None:
     with pytest.raises(DronemonError, match=words):
-        calibrate_command(str(folder), board, 0.02, None, tmp_path / "eye.yaml", every=8)
+        intrinsics_command(str(folder), board, 0.02, None, tmp_path / "eye.yaml", every=8)
     assert not (tmp_path / "eye.yaml").exists()
 
 
@@ -77,4 +77,4 @@ def test_pictures_of_two_cameras_are_told_apart(folder: Path, tmp_path: Path) ->
     for name, image in (("a", np.zeros((240, 320, 3))), ("b", np.zeros((120, 160, 3)))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), image)
     with pytest.raises(CameraError, match=r"b\.png: has 160 x 120 pixels, the others 320 x 240"):
-        calibrate_command(str(tmp_path), "7x6", 0.02, None, tmp_path / "eye.yaml")
+        intrinsics_command(str(tmp_path), "7x6", 0.02, None, tmp_path / "eye.yaml")
