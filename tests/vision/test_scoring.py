@@ -67,5 +67,5 @@ def test_shares_of_what_is_taken_for_another() -> None:
 
 
 def test_errors_beyond_what_planners_can_be_told_are_refused() -> None:
-    with pytest.raises(OptionError, match="miss=1 is not 0 to 0.9"):
+    with pytest.raises(OptionError, match=r"miss=1 is not 0 to 0\.9"):
         score(([find("cow", 10)], [])).sensor(side_m=10.0)
