@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import hashlib
 import signal
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -245,6 +245,18 @@ async def assemble_and_inspect(
         setup = run.setup(await stack.enter_async_context(run.link()))
         tell = partial(console.print, soft_wrap=True, markup=False)
         return await inspect_vehicle(setup, tell, show)
+
+
+@contextlib.asynccontextmanager
+async def watching(mission: Mission) -> AsyncIterator[tuple[MavsdkLink, FrameSource]]:
+    """Link to a real vehicle and its camera, as it sees; nothing is commanded.
+
+    Raises VehicleError, CameraError.
+    """
+    async with _link(mission, None) as link:
+        await link.next_pose()
+        async with _raw_camera(mission, None, link) as camera:
+            yield link, camera
 
 
 def _existing(path: Path) -> Path:

@@ -393,6 +393,10 @@ _ELSEWHERE = {
         "dronemon.calibrating.intrinsics",
         "Measure a camera's lens from pictures of a chessboard, for camera.calibration.",
     ),
+    "calibrate latency": (
+        "dronemon.calibrating.latency",
+        "Measure how old pictures are when they arrive, for camera.latency_s.",
+    ),
     "calibrate detector": (
         "dronemon.calibrating.detector",
         "Measure how a detector errs on pictures that you have labelled, for sensor.",
