@@ -88,14 +88,21 @@ def latency_of(
     by_vehicle_rad = yaws_at[:, 1] - yaws_at[:, 0]  # (P, L)
     errors = np.square(turns_rad[:, None] - by_vehicle_rad).sum(axis=0)
     best = int(errors.argmin())
+    if best == len(lags_s) - 1:
+        raise CameraError(f"the pictures are older than {MAX_LATENCY_S:g} s, too old to fly with")
+    agreement = _agreement(turns_rad, by_vehicle_rad, best)
+    num_pairs = len(turns_rad)
+    return Latency(**_refined(errors, best, num_pairs), agreement=agreement, num_pairs=num_pairs)
+
+
+def _agreement(turns_rad: FloatArray, by_vehicle_rad: FloatArray, best: int) -> float:
+    """Correlation at the best lag of (P,) turns with the vehicle's (P, L). Raises CameraError."""
     turned_rad = math.sqrt(np.square(by_vehicle_rad[:, best]).mean())
     if turned_rad < _LEAST_TURN_RAD:
         raise CameraError(
             f"the vehicle turned by {math.degrees(turned_rad):.2f} degrees from picture to picture,"
             f" and {math.degrees(_LEAST_TURN_RAD):g} are needed; turn it faster, to and fro"
         )
-    if best == len(lags_s) - 1:
-        raise CameraError(f"the pictures are older than {MAX_LATENCY_S:g} s, too old to fly with")
     agreements = np.corrcoef(turns_rad, by_vehicle_rad, rowvar=False)[0, 1:]
     agreement = float(agreements[best])
     if not agreement >= _LEAST_AGREEMENT:
@@ -108,9 +115,7 @@ def latency_of(
             f"the turns of pictures and vehicle agree by {agreement:.2f}, "
             f"and {_LEAST_AGREEMENT:g} is needed; {why}"
         )
-    return Latency(
-        **_refined(errors, best, len(turns_rad)), agreement=agreement, num_pairs=len(turns_rad)
-    )
+    return agreement
 
 
 def _refined(errors: FloatArray, best: int, num_pairs: int) -> dict[str, float]:
