@@ -47,6 +47,7 @@ async def aim(setup: FlightSetup) -> str | None:
     """
     if not setup.file.mission.camera.gimbal:
         return None
+    await setup.link.next_heartbeat()  # a fresh state
     if _is_flown(setup.link.state):
         return "the vehicle is flown: its gimbal is left as it is"
     return await _problem(setup.link.point_down())
