@@ -152,7 +152,8 @@ def _point_gimbal(autopilot: Autopilot, params: tuple[float, ...]) -> int:
     """Turn it by its angles alone, and with the vehicle."""
     if autopilot.gimbal is None:
         return UNSUPPORTED
-    if whole(params[4]) & mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK or math.isnan(sum(params[:2])):
+    is_from_north = max(whole(params[4]), 0) & mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
+    if is_from_north or math.isnan(sum(params[:2])):
         return DENIED
     pitch_rad, yaw_rad = math.radians(params[0]), math.radians(params[1])
     return ACCEPTED if autopilot.gimbal.point(pitch_rad, yaw_rad) else DENIED

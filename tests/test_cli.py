@@ -218,7 +218,7 @@ def test_real_vehicle_needs_a_camera_or_a_simulator_that_follows(run, mission):
     assert code == 2
     assert "--follow: " in err
     assert "flight.altitude_m" in err
-    path = mission(ALTITUDE, f"{ALTITUDE}\ncamera: {{gimbal: true}}")
+    path = mission("simulation:", "camera: {gimbal: true}\nsimulation:")
     options = ("--vehicle", same, "--follow", "udpin://127.0.0.1:14550")
     code, _, err = run("check", path, *options)
     assert code == 2

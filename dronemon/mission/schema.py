@@ -166,7 +166,7 @@ class Camera(Section):
     mount_deg: Angles = (0.0, 0.0, 0.0)
     """[roll, pitch, yaw] of the camera on drone or gimbal; 0 looks down, its top to the nose."""
     gimbal: bool = False
-    """Whether it hangs on a gimbal whose attitude the vehicle tells; else it is fixed to it."""
+    """Whether it hangs on a gimbal whose attitude the vehicle tells; else the drone's counts."""
     timeout_s: float = Field(5.0, gt=0.0, le=60.0)
     """Wall-clock wait for a picture."""
 
@@ -390,17 +390,3 @@ class Mission(Section):
     def sensor_radius_m(self) -> float:
         """Radius of the circular footprint on the ground."""
         return SENSOR_RADIUS_AU * self.area.side_m
-
-    @property
-    def tilt_rad(self) -> float:
-        """How far the camera looks off straight down: as the drone banks, or as its gimbal errs."""
-        return math.radians(GIMBAL_ERROR_DEG) if self.camera.gimbal else self.flight.bank_rad
-
-    @property
-    def needed_altitude_m(self) -> float:
-        """Height from which a tilted camera sees the whole footprint in its shorter direction."""
-        camera = self.camera.model
-        half_angle_rad = min(camera.horizontal_fov_rad, camera.vertical_fov_rad) / 2.0
-        if half_angle_rad <= self.tilt_rad:
-            return math.inf
-        return self.sensor_radius_m / math.tan(half_angle_rad - self.tilt_rad)

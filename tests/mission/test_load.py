@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
 from dronemon.errors import MissionFileError
-from dronemon.feasibility import load_checked
+from dronemon.feasibility import flight_facts, load_checked, needed_altitude_m
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.faults import KINDS
@@ -134,7 +135,7 @@ def test_a_gimbal_allows_what_banks_too_much_for_a_fixed_camera(tmp_path: Path):
     path = tmp_path / "m.yaml"
     path.write_text(lower.replace("GIMBAL", "true"))
     mission = load_checked(str(path), {}, None).mission
-    assert mission.needed_altitude_m == pytest.approx(
+    assert needed_altitude_m(mission) == pytest.approx(
         20.0 / math.tan(math.atan(0.75) - 0.0873), 1e-3
     )
     assert "which it is told to look down" in flight_facts(mission)["camera"]

@@ -24,6 +24,7 @@ ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_DENIED,
     mavlink.MAV_RESULT_UNSUPPORTED,
 )
+LOCK = float(mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
 DOWN = (-90.0, 0.0, math.nan, math.nan, 44.0)
 WITH_GIMBAL = {"camera": {"gimbal": True}}
 
@@ -51,6 +52,7 @@ def test_it_obeys_who_controls_it_and_says_where_it_looks() -> None:
         assert await station.command(POINT, *DOWN) == DENIED
         assert await station.command(CONFIGURE, 245.0, 190.0, -1.0, -1.0) == ACCEPTED
         assert await station.command(POINT, 80.0, 0.0) == DENIED
+        assert await station.command(POINT, *DOWN[:4], LOCK) == DENIED
         assert await station.command(POINT, *DOWN) == ACCEPTED
         await station.fly(2.0)
         assert _pitch_deg(station.last("GIMBAL_DEVICE_ATTITUDE_STATUS")) == pytest.approx(
