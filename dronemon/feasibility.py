@@ -13,6 +13,7 @@ from dronemon.mission import Mission, MissionFile, find_mission, load_mission
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
 from dronemon.mission.document import Overrides, Problem
+from dronemon.mission.schema import GIMBAL_ERROR_DEG
 from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
@@ -96,6 +97,21 @@ def needed_px_per_m(mission: Mission) -> float | None:
     return DRAWN_NEEDS_PX_PER_M if is_own else of.needed_px_per_m
 
 
+def tilt_rad(mission: Mission) -> float:
+    """How far the camera may look off straight down: as the drone banks, or as its gimbal errs."""
+    is_level = mission.camera.gimbal
+    return math.radians(GIMBAL_ERROR_DEG) if is_level else mission.flight.bank_rad
+
+
+def needed_altitude_m(mission: Mission) -> float:
+    """Height from which a tilted camera sees the whole footprint in its shorter direction."""
+    camera, off_rad = mission.camera.model, tilt_rad(mission)
+    half_angle_rad = min(camera.horizontal_fov_rad, camera.vertical_fov_rad) / 2.0
+    if half_angle_rad <= off_rad:
+        return math.inf
+    return mission.sensor_radius_m / math.tan(half_angle_rad - off_rad)
+
+
 def flight_facts(m: Mission) -> dict[str, str]:
     """What would be flown, in words."""
     # Mean distance to one of the k nearest of V random places.
@@ -104,8 +120,10 @@ def flight_facts(m: Mission) -> dict[str, str]:
         "targets": ", ".join(_targets_fact(m)),
         "area": f"{m.area.side_m:g} m side, heading {m.area.heading_deg:g} degrees",
         "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
-        f"{m.sensor_radius_m:g} m needs {m.needed_altitude_m:.1f} m, banked "
-        f"{math.degrees(m.flight.bank_rad):.0f} degrees",
+        f"{m.sensor_radius_m:g} m needs {needed_altitude_m(m):.1f} m, "
+        f"{'its gimbal off by' if m.camera.gimbal else 'banked'} "
+        f"{math.degrees(tilt_rad(m)):.0f} degrees",
+        "camera": _camera_fact(m),
         "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs "
         f"{needed_px_per_m(m) or 'what detector.needed_px_per_m does not say'}",
         "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
@@ -120,6 +138,13 @@ def flight_facts(m: Mission) -> dict[str, str]:
         "planner": m.planner.kind,
         "vehicle": m.vehicle.url,
     }
+
+
+def _camera_fact(m: Mission) -> str:
+    camera = m.camera
+    where = "on a gimbal, which it is told to look down" if camera.gimbal else "fixed to the drone"
+    mounted = f", turned on it by {list(camera.mount_deg)} degrees" if any(camera.mount_deg) else ""
+    return f"{where}{mounted}"
 
 
 def _targets_fact(m: Mission) -> Iterator[str]:
@@ -148,6 +173,12 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
         )
     elif follow == url:
         yield ("vehicle", "url"), f"{url} is --follow's too; have the vehicle stream to two ports"
+    if follow is not None and mission.camera.gimbal and mission.camera.is_simulated:
+        yield (
+            ("camera", "gimbal"),
+            "is of a real camera or of the mock's: the simulated one that follows a vehicle is "
+            "fixed to it; leave it out",
+        )
     if mission.vehicle.is_mock or follow is not None:
         if flaw := motion_flaw(mission.simulation.motion, len(mission.targets)):
             yield ("simulation", "motion"), flaw
@@ -171,13 +202,16 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
     needed_px = needed_px_per_m(mission)
     highest_m = math.inf if needed_px is None else mission.camera.model.focal_px / needed_px
     side_m, altitude_m = mission.area.side_m, mission.flight.altitude_m
-    needed_m = mission.needed_altitude_m
-    bank = f"while it banks {math.degrees(mission.flight.bank_rad):.1f} degrees to accelerate"
+    needed_m, tilt_deg = needed_altitude_m(mission), math.degrees(tilt_rad(mission))
+    tilt = f"while it banks {tilt_deg:.1f} degrees to accelerate"
+    or_lower = f", or lower {mission.flight.what_banks}"
+    if mission.camera.gimbal:
+        tilt, or_lower = f"with its gimbal off by {tilt_deg:.1f} degrees", ""
     if needed_m == math.inf:
         yield (
             ("flight", "altitude_m"),
-            f"no height will do: the camera cannot see what is below the drone {bank}; "
-            f"lower {mission.flight.what_banks}, or use a camera with a wider view",
+            f"no height will do: the camera cannot see what is below the drone {tilt}; "
+            f"use a camera with a wider view{or_lower}",
         )
     elif highest_m < needed_m:
         yield (
@@ -186,15 +220,14 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             f"{mission.sensor_radius_m:g} m takes {needed_m:.1f} m of height, but "
             f"above {highest_m:.0f} m a metre is less than the {needed_px:g} pixels that "
             f"the detector needs; make it {side_m * highest_m / needed_m:.0f} m "
-            f"or less, lower {mission.flight.what_banks}, or use a camera with more pixels",
+            f"or less, or use a camera with more pixels{or_lower}",
         )
     elif altitude_m < needed_m:
         yield (
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too low: the camera must see {mission.sensor_radius_m:g} m "
-            f"around the drone (0.1 of the area's side) {bank}, which takes {needed_m:.1f} m at "
-            f"its angle of view; fly higher, lower {mission.flight.what_banks}, or make the area "
-            "smaller",
+            f"around the drone (0.1 of the area's side) {tilt}, which takes {needed_m:.1f} m at "
+            f"its angle of view; fly higher, or make the area smaller{or_lower}",
         )
     elif altitude_m > highest_m:
         yield (

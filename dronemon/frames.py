@@ -8,6 +8,9 @@ Nothing else converts.
 
 The local NED origin is the EKF's (asked of the vehicle), which need not be home. A pixel (u, v) has
 its origin at the top left corner of the picture; the picture's top points to the vehicle's nose.
+
+A gimbal's axes are ahead of its lens, right and below. Its camera's are those of a vehicle that it
+would be screwed to: a gimbal that looks straight down gives roll 0 and pitch 0.
 """
 
 from __future__ import annotations
@@ -19,7 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 import pymap3d
 
-from dronemon.types import CameraModel, FloatArray, Pose
+from dronemon.types import CameraModel, FloatArray, GimbalAttitude, Pose, Vector3
+
+_CAMERA_TO_GIMBAL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""From top of the picture, right, ahead of the lens to ahead of the lens, right, below."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +134,41 @@ def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def attitude_of(body_to_ned: FloatArray) -> Vector3:
+    """Roll, pitch and yaw of a rotation matrix, (3, 3): what `body_to_ned` is told."""
+    forward, right, down = body_to_ned.T
+    roll_rad = math.atan2(right[2], down[2])
+    pitch_rad = math.asin(min(max(-forward[2], -1.0), 1.0))
+    return roll_rad, pitch_rad, math.atan2(forward[1], forward[0])
+
+
+def quaternion_to_rotation(quaternion: Sequence[float]) -> FloatArray:
+    """Rotation matrix, (3, 3), of w, x, y, z with length 1."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def camera_to_ned(gimbal: GimbalAttitude, heading_rad: float) -> FloatArray:
+    """Rotation matrix of a gimbal's camera, from top of the picture, right, ahead of the lens.
+
+    heading_rad: the vehicle's yaw at that instant -> (3, 3) to north, east, down
+    """
+    turned_rad = heading_rad if gimbal.is_from_heading else 0.0
+    rotation: FloatArray = body_to_ned((0.0, 0.0, turned_rad)) @ gimbal.rotation @ _CAMERA_TO_GIMBAL
+    return rotation
+
+
+def off_down_rad(camera_to_ned: FloatArray) -> float:
+    """Angle between where a camera looks and straight down. camera_to_ned: (3, 3)."""
+    return math.acos(min(max(float(camera_to_ned[2, 2]), -1.0), 1.0))
 
 
 def pixel_to_ground(

@@ -22,7 +22,7 @@ from dronemon.recorder import MISSION_FILE, SIMULATOR_LOG, TRUTH_FILE
 from dronemon.runner.history import Newest
 from dronemon.types import FloatArray
 
-START_LIMIT_S = 30.0
+START_LIMIT_S = 90.0  # a large picture's lens takes seconds, on a busy machine many
 STOP_LIMIT_S = 5.0
 
 

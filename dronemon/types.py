@@ -56,6 +56,19 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GimbalAttitude:
+    """How a gimbal is turned at one instant of vehicle time. Its axes: ahead, right, below.
+
+    rotation:        (3, 3) float64 from these axes to north, east, down
+    is_from_heading: whether the vehicle's heading stands for north there
+    """
+
+    time_s: float
+    rotation: FloatArray
+    is_from_heading: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GpsFix:
     """How well satellites place the vehicle.
 
@@ -77,7 +90,7 @@ class GpsFix:
 class CameraModel:
     """A pinhole camera without distortion.
 
-    It looks straight down from a level vehicle, the picture's top towards its nose.
+    It looks straight down from a level vehicle or gimbal, the picture's top towards its nose.
     """
 
     width_px: int

@@ -21,6 +21,7 @@ from sim.dynamics import Quadrotor, Wind
 from sim.estimator import READY_AFTER_S, Estimator
 from sim.fence import Geofence
 from sim.geodesy import LocalMap
+from sim.gimbal import Gimbal
 from sim.mission_protocol import MissionStore
 from sim.modes import Px4Mode
 from sim.navigator import Navigator
@@ -50,6 +51,7 @@ class Autopilot:
     problems:    arming checks that fail for reasons of their own, as PX4 says them
     breach:      what the fence says, for reasons of its own
     board:       number of its board, as no other vehicle has it
+    gimbal:      what it manages, if it carries one
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Autopilot:
         self.breach: str | None = None
         self.battery_level = 1.0
         self.board = secrets.randbits(63)
+        self.gimbal: Gimbal | None = None
         self.num_boots = 0
         self.reboot()
 
@@ -197,6 +200,8 @@ class Autopilot:
         self._fly()
         self.estimate.step(STEP_S, has_gps=self.has_gps)
         self._detect_landing()
+        if self.gimbal is not None:
+            self.gimbal.step(STEP_S)
         if not self.is_landed:
             self.battery_level = max(0.0, self.battery_level - STEP_S / self.endurance_s)
 

@@ -60,11 +60,16 @@ class CameraServer:
 
     async def __aenter__(self) -> Self:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="camera")
-        self._renderer = await asyncio.get_running_loop().run_in_executor(
-            self._thread, Renderer, self._camera, self._seed
-        )
+        await asyncio.get_running_loop().run_in_executor(self._thread, self._get_ready)
         self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
         return self
+
+    def _get_ready(self) -> None:
+        """Make all that the first picture needs: the maps of a lens take seconds."""
+        self._renderer = Renderer(self._camera, self._seed)
+        if self._lens is not None:
+            size = self._camera.height_px, self._camera.width_px
+            self._lens.as_seen(np.zeros((*size, 3), np.uint8))
 
     async def __aexit__(self, *exc: object) -> None:
         self._server.close()

@@ -141,6 +141,24 @@ def _reboot(autopilot: Autopilot, params: tuple[float, ...]) -> int:
     return ACCEPTED
 
 
+def _configure_gimbal(autopilot: Autopilot, params: tuple[float, ...]) -> int:
+    if autopilot.gimbal is None:
+        return UNSUPPORTED
+    autopilot.gimbal.is_controlled = params[0] > 0.0
+    return ACCEPTED
+
+
+def _point_gimbal(autopilot: Autopilot, params: tuple[float, ...]) -> int:
+    """Turn it by its angles alone, and with the vehicle."""
+    if autopilot.gimbal is None:
+        return UNSUPPORTED
+    is_from_north = max(whole(params[4]), 0) & mavlink.GIMBAL_MANAGER_FLAGS_YAW_LOCK
+    if is_from_north or math.isnan(sum(params[:2])):
+        return DENIED
+    pitch_rad, yaw_rad = math.radians(params[0]), math.radians(params[1])
+    return ACCEPTED if autopilot.gimbal.point(pitch_rad, yaw_rad) else DENIED
+
+
 _HANDLERS: dict[int, Callable[[Autopilot, tuple[float, ...]], int]] = {
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
@@ -153,6 +171,8 @@ _HANDLERS: dict[int, Callable[[Autopilot, tuple[float, ...]], int]] = {
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_checks,
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: _configure_gimbal,
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _point_gimbal,
 }
 
 

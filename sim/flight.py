@@ -7,6 +7,7 @@ import logging
 import math
 import random
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from dronemon.world.instance import named_stream
 from sim.autopilot import STEP_S, Autopilot
 from sim.dynamics import Wind
 from sim.faults import FaultSchedule, mission_faults, parse_vehicle_fault
+from sim.gimbal import Gimbal
 from sim.link import MavlinkLink
 from sim.modes import Px4Mode
 from sim.scene import Scene
@@ -67,6 +69,7 @@ class MockFlight:
             rng=_stream(mission, "estimate"),
         )
         self.autopilot.set_clock(clock_s)
+        self.autopilot.gimbal = Gimbal() if mission.camera.gimbal else None
         self._world = world
         self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
         self._links: list[MavlinkLink] = []
@@ -94,10 +97,16 @@ class MockFlight:
         autopilot.ignores_setpoints = "ignore" in self.faults.active
         autopilot.problems = (_PROBLEM,) if "unarmable" in self.faults.active else ()
         autopilot.breach = _BREACH if "fence" in self.faults.active else None
+        if autopilot.gimbal is not None:
+            autopilot.gimbal.is_silent = "gimbal" in self.faults.active
+            autopilot.gimbal.askew_rad = math.radians(self.faults.active.get("askew", 0.0))
 
     def scene(self) -> Scene:
         """What there is to see at this instant."""
-        pose = self.autopilot.body.pose(self.autopilot.time_s)
+        pose, gimbal = self.autopilot.body.pose(self.autopilot.time_s), self.autopilot.gimbal
+        if gimbal is not None:
+            turned_rad = gimbal.camera_attitude_rad(pose.attitude_rad[2])
+            pose = replace(pose, attitude_rad=turned_rad)
         return self._world.scene(pose, self._frame, self._time_s)
 
     async def open_links(

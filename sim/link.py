@@ -31,7 +31,7 @@ from sim.commands import (
 from sim.line import FaultyLine
 from sim.mission_protocol import MissionProtocol
 from sim.parameters import INDEX, TABLE
-from sim.streams import STREAMS, Builder
+from sim.streams import COMPONENTS, STREAMS, Builder
 
 _DATAGRAM_BYTES = 1200
 _CHUNK_BYTES = 50
@@ -76,12 +76,10 @@ class MavlinkLink(asyncio.DatagramProtocol):
         self._remote = remote
         self._faults = faults
         self._inward, self._outward = FaultyLine(faults, rng), FaultyLine(faults, rng)
-        self._mav = mavlink.MAVLink(None, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
-        self._mav.robust_parsing = True
-        if signing_key is not None:
-            signing = self._mav.signing
-            signing.secret_key, signing.sign_outgoing = signing_key, True
-            signing.timestamp = round((time.time() - _SIGNING_EPOCH_S) * 1e5)
+        self._mav = _packer(mavlink.MAV_COMP_ID_AUTOPILOT1, signing_key)
+        self._others = {
+            number: _packer(component, signing_key) for number, component in COMPONENTS.items()
+        }
         self._gcs_heard_s = -_GCS_TIMEOUT_S
         self._buffer = bytearray()
         self._transport: asyncio.DatagramTransport | None = None
@@ -158,9 +156,10 @@ class MavlinkLink(asyncio.DatagramProtocol):
     def _send(self, message: Any) -> None:
         if message is None:
             return
-        self._mav.srcSystem = self._system_id
-        packet = message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256
+        packer = self._others.get(message.get_msgId(), self._mav)
+        packer.srcSystem = self._system_id
+        packet = message.pack(packer)
+        packer.seq = (packer.seq + 1) % 256
         if len(self._buffer) + len(packet) > _DATAGRAM_BYTES:
             self.flush()
         self._buffer += packet
@@ -260,7 +259,7 @@ class MavlinkLink(asyncio.DatagramProtocol):
         if command.number == mavlink.MAV_CMD_REQUEST_MESSAGE:
             return self._send_once(whole(command.params[0]))
         number = whole(command.params[0])
-        stream = self._streams.get(number)
+        stream = None if number in COMPONENTS else self._streams.get(number)
         if command.number == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
             if not 0 <= number < 65536:
                 return DENIED
@@ -311,6 +310,16 @@ class MavlinkLink(asyncio.DatagramProtocol):
     def _parameter(self, index: int) -> Any:
         name, value, kind = self._autopilot.parameters.on_wire(index)
         return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(TABLE), index)
+
+
+def _packer(component: int, signing_key: bytes | None) -> mavlink.MAVLink:
+    packer = mavlink.MAVLink(None, srcComponent=component)
+    packer.robust_parsing = True
+    if signing_key is not None:
+        signing = packer.signing
+        signing.secret_key, signing.sign_outgoing = signing_key, True
+        signing.timestamp = round((time.time() - _SIGNING_EPOCH_S) * 1e5)
+    return packer
 
 
 def _command_ack(message: Any, result: int) -> Any:

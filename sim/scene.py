@@ -1,4 +1,4 @@
-"""What the simulated camera looks at: the vehicle's pose and the animals, at one instant."""
+"""What the simulated camera looks at: its pose and the animals, at one instant."""
 
 from __future__ import annotations
 

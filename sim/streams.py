@@ -15,8 +15,13 @@ from pymavlink.dialects.v20 import common as mavlink
 from dronemon.types import GRAVITY_M_S2, Vector3
 from sim.autopilot import Autopilot
 from sim.estimator import GPS_LOSS_TOLERATED_S
+from sim.gimbal import BOOT_S as GIMBAL_BOOT_S
 from sim.modes import Px4Mode
 
+COMPONENTS = {
+    mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: mavlink.MAV_COMP_ID_GIMBAL,
+}
+"""Senders of messages that are not the autopilot's own."""
 Builder = Callable[[Autopilot], Any]
 _EPOCH_US = 1_760_000_000_000_000
 """What the simulated GPS calls the time of boot."""
@@ -337,6 +342,22 @@ def _autopilot_version(autopilot: Autopilot) -> Any:
     )
 
 
+def _gimbal_device_attitude_status(autopilot: Autopilot) -> Any:
+    """Stamped with the gimbal's own time, and turned from the vehicle's heading."""
+    gimbal, since_s = autopilot.gimbal, autopilot.time_s - GIMBAL_BOOT_S
+    if gimbal is None or gimbal.is_silent or since_s < 0.0:
+        return None
+    return mavlink.MAVLink_gimbal_device_attitude_status_message(
+        *(0, 0, round(since_s * 1000.0)),
+        mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK
+        | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
+        | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
+        quaternion(0.0, gimbal.pitch_rad, gimbal.yaw_rad),
+        *(math.nan, math.nan, math.nan, 0),
+        *(autopilot.estimate.yaw, math.nan, 0),
+    )
+
+
 STREAMS: dict[int, tuple[Builder, float]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: (_heartbeat, 1.0),
     mavlink.MAVLINK_MSG_ID_ATTITUDE: (_attitude, 98.0),
@@ -357,6 +378,7 @@ STREAMS: dict[int, tuple[Builder, float]] = {
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (_gps_global_origin, 0.0),
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (_autopilot_version, 0.0),
+    mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: (_gimbal_device_attitude_status, 5.0),
 }
 """Message id -> builder and Hz of vehicle time, as on PX4's offboard link; 0 is on request only.
 

@@ -24,9 +24,10 @@ from dronemon.errors import (
     LinkTimeout,
     VehicleError,
 )
-from dronemon.frames import GeoPoint, ned_to_geo
+from dronemon.frames import GeoPoint, body_to_ned, ned_to_geo
 from dronemon.mission.faults import parse_fault
-from dronemon.types import GpsFix, Picture, Pose, Vector3
+from dronemon.mission.schema import GIMBAL_ERROR_DEG
+from dronemon.types import GimbalAttitude, GpsFix, Picture, Pose, Vector3
 from dronemon.vehicle import Landed, Mode, Setpoint, StatusText, VehicleState
 from dronemon.vehicle.fence_items import FenceItem
 from dronemon.vehicle.motor_watch import MotorWatch
@@ -74,6 +75,9 @@ class FakeVehicle:
         self.parameters |= {"COM_OBL_RC_ACT": 3.0, "COM_RC_OVERRIDE": 3.0, "GF_ACTION": 3.0}
         self.has_sticks = True
         self.fence: tuple[FenceItem, ...] = ()
+        self.is_gimbal_silent = False
+        self.gimbal_off_deg = 0.0
+        """By how much the gimbal looks above what it is told."""
 
     @property
     def is_on_ground(self) -> bool:
@@ -203,6 +207,8 @@ class FakeLink:
             "deaf": lambda is_on: setattr(vehicle, "is_deaf", bool(is_on)),
             "reject": reject,
             "gps": lose_gps,
+            "gimbal": lambda is_on: setattr(vehicle, "is_gimbal_silent", bool(is_on)),
+            "askew": lambda off_deg: setattr(vehicle, "gimbal_off_deg", off_deg or 0.0),
             "camera": lambda is_on: setattr(self, "is_camera_silent", bool(is_on)),
             "freeze": lambda is_on: setattr(self, "is_camera_frozen", bool(is_on)),
             "pilot": lambda is_on: vehicle.choose(Mode.POSITION if is_on else Mode.OFFBOARD),
@@ -359,6 +365,18 @@ class FakeLink:
         after = next(i for i, pose in enumerate(self._poses) if i and pose.time_s >= time_s)
         return self._poses[after - 1], self._poses[after]
 
+    async def gimbal_around(self, time_s: float) -> tuple[GimbalAttitude, GimbalAttitude]:
+        await self.wait_until(lambda: self.time_s > time_s, "the gimbal", 1.0)
+        if self.vehicle.is_gimbal_silent:
+            raise CameraError("the gimbal's attitude at the picture's instant was not heard")
+        pitch_rad = math.radians(self.vehicle.gimbal_off_deg - 90.0)
+        before = GimbalAttitude(
+            time_s=time_s - STEP_S,
+            rotation=body_to_ned((0.0, pitch_rad, 0.0)),
+            is_from_heading=True,
+        )
+        return before, replace(before, time_s=time_s + STEP_S)
+
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         end_s = self.time_s + timeout_s if self._poses else math.inf
         while not condition():
@@ -421,6 +439,15 @@ class FakeLink:
             name, lambda: self.vehicle.choose(mode), lambda: self._state.mode is mode
         )
         self._expected = frozenset({mode})
+
+    async def point_down(self) -> None:
+        self.commands.append("point down")
+        if not self.vehicle.command("point down"):
+            raise CommandRejected("the gimbal, taking control: asked 3 times (denied)")
+        if self.vehicle.is_gimbal_silent:
+            raise CommandUnconfirmed("no attitude of a gimbal is heard")
+        if self.vehicle.gimbal_off_deg > GIMBAL_ERROR_DEG:
+            raise CommandUnconfirmed(f"it looks {self.vehicle.gimbal_off_deg:.0f} degrees off")
 
     async def arm(self) -> None:
         await self._confirm("arm", self._set_armed, lambda: self._state.is_armed)

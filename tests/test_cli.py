@@ -218,6 +218,11 @@ def test_real_vehicle_needs_a_camera_or_a_simulator_that_follows(run, mission):
     assert code == 2
     assert "--follow: " in err
     assert "flight.altitude_m" in err
+    path = mission("simulation:", "camera: {gimbal: true}\nsimulation:")
+    options = ("--vehicle", same, "--follow", "udpin://127.0.0.1:14550")
+    code, _, err = run("check", path, *options)
+    assert code == 2
+    assert "camera.gimbal: is of a real camera or of the mock's" in err
 
 
 @pytest.mark.parametrize("words", [("",), ("--mission", "")])

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from dronemon.frames import (
     AreaFrame,
     GeoPoint,
+    attitude_of,
     body_to_ned,
+    camera_to_ned,
     geo_to_ned,
     ground_to_pixel,
     ned_to_geo,
+    off_down_rad,
     pixel_to_ground,
+    quaternion_to_rotation,
 )
-from dronemon.types import CameraModel, Pose
+from dronemon.types import CameraModel, GimbalAttitude, Pose
+from sim.gimbal import Gimbal
+from sim.streams import quaternion
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.radians(90))
 angles = st.floats(-math.pi, math.pi)
@@ -124,3 +132,68 @@ def test_body_to_ned_is_a_rotation(roll: float, pitch: float, yaw: float):
     rotation = body_to_ned((roll, pitch, yaw))
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@given(angles, st.floats(-1.5, 1.5), angles)
+def test_a_rotation_tells_its_attitude(roll: float, pitch: float, yaw: float):
+    there = attitude_of(body_to_ned((roll, pitch, yaw)))
+    np.testing.assert_allclose(body_to_ned(there), body_to_ned((roll, pitch, yaw)), atol=1e-9)
+    assert there[0] == pytest.approx(roll, abs=1e-6)
+    assert there[1] == pytest.approx(pitch, abs=1e-6)
+
+
+@given(angles, angles, angles)
+def test_a_quaternion_is_the_rotation_of_its_angles(roll: float, pitch: float, yaw: float):
+    rotation = quaternion_to_rotation(quaternion(roll, pitch, yaw))
+    np.testing.assert_allclose(rotation, body_to_ned((roll, pitch, yaw)), atol=1e-9)
+
+
+def _gimbal(roll: float, pitch: float, yaw: float, *, is_from_heading: bool) -> GimbalAttitude:
+    rotation = quaternion_to_rotation(quaternion(roll, pitch, yaw))
+    return GimbalAttitude(time_s=0.0, rotation=rotation, is_from_heading=is_from_heading)
+
+
+@pytest.mark.parametrize("is_from_heading", [True, False])
+@pytest.mark.parametrize("yaw_deg", [0.0, 40.0, 90.0, 130.0, 180.0, -130.0, -90.0, -40.0])
+@pytest.mark.parametrize("heading_deg", [0.0, 70.0, 160.0, -110.0, -20.0])
+def test_a_gimbal_that_looks_down_is_a_level_camera(
+    heading_deg: float, yaw_deg: float, is_from_heading: bool
+):
+    """At 90 degrees below the horizon, where its own roll and yaw cannot be told apart."""
+    yaw, heading = math.radians(yaw_deg), math.radians(heading_deg)
+    gimbal = _gimbal(0.0, -math.pi / 2.0, yaw, is_from_heading=is_from_heading)
+    camera = camera_to_ned(gimbal, heading)
+    roll, pitch, turned = attitude_of(camera)
+    assert (roll, pitch) == pytest.approx((0.0, 0.0), abs=1e-9)
+    expected = yaw + heading if is_from_heading else yaw
+    assert math.remainder(turned - expected, math.tau) == pytest.approx(0.0, abs=1e-9)
+    assert off_down_rad(camera) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("is_from_heading", [True, False])
+@given(roll=tilts, off=st.floats(-0.5, 0.5), yaw=angles, heading=angles)
+def test_a_gimbals_picture_shows_what_lies_along_its_axes(
+    roll: float, off: float, yaw: float, heading: float, is_from_heading: bool
+):
+    """Against its axis turned one angle after the other, by another's rotations."""
+    gimbal = _gimbal(roll, off - math.pi / 2.0, yaw, is_from_heading=is_from_heading)
+    camera = attitude_of(camera_to_ned(gimbal, heading))
+    over_ground = yaw + heading if is_from_heading else yaw
+    turned = Rotation.from_euler("ZYX", [over_ground, off - math.pi / 2.0, roll])
+    ahead, below = turned.apply([1.0, 0.0, 0.0]), turned.apply([0.0, 0.0, 1.0])
+    assert off_down_rad(camera_to_ned(gimbal, heading)) == pytest.approx(abs(off), abs=1e-6)
+    pose = replace(_pose(), attitude_rad=camera)
+    for pixel, ray in (((320.0, 240.0), ahead), ((320.0, 180.0), ahead - 60.0 / 320.0 * below)):
+        place = pixel_to_ground(np.array(pixel), CAMERA, pose, -1.0) - [10.0, -20.0]
+        np.testing.assert_allclose(place, 35.0 * ray[:2] / ray[2], atol=1e-6)
+
+
+def test_the_simulators_gimbal_looks_as_its_camera_does():
+    """Two derivations of one convention."""
+    gimbal = Gimbal()
+    gimbal.is_controlled = True
+    assert gimbal.point(math.radians(-70.0), math.radians(30.0))
+    for _ in range(300):
+        gimbal.step(0.01)
+    heard = _gimbal(0.0, gimbal.pitch_rad, gimbal.yaw_rad, is_from_heading=True)
+    assert attitude_of(camera_to_ned(heard, 1.1)) == pytest.approx(gimbal.camera_attitude_rad(1.1))

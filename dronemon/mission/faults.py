@@ -40,6 +40,10 @@ KINDS = {
     "jump": FaultKind(what="the estimated position is off by VALUE metres", values=(0.0, 1000.0)),
     "fence": FaultKind(what="the geofence counts as crossed"),
     "reboot": FaultKind(what="the autopilot starts again", is_lasting=False),
+    "gimbal": FaultKind(what="the gimbal does not tell its attitude"),
+    "askew": FaultKind(
+        what="the gimbal looks VALUE degrees above where it should", values=(0.0, 90.0)
+    ),
     "camera": FaultKind(what="no pictures"),
     "late": FaultKind(what="pictures arrive VALUE seconds late", values=_SECONDS),
     "torn": FaultKind(what="pictures end half-way"),

@@ -34,6 +34,8 @@ Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
 Angle = Annotated[float, Field(ge=-180.0, le=180.0)]
 Angles = Annotated[tuple[Angle, Angle, Angle], Field(strict=False)]
 _TURN_S = 4.0
+GIMBAL_ERROR_DEG = 5.0
+"""How far a gimbal that was told to look down may look off."""
 
 
 class Area(Section):
@@ -162,7 +164,9 @@ class Camera(Section):
     calibration: str | None = None
     """The lens, a file of `dronemon calibrate`, OpenCV or ROS; a pinhole's if absent."""
     mount_deg: Angles = (0.0, 0.0, 0.0)
-    """[roll, pitch, yaw] of the camera on the drone; 0 looks straight down, its top to the nose."""
+    """[roll, pitch, yaw] of the camera on drone or gimbal; 0 looks down, its top to the nose."""
+    gimbal: bool = False
+    """Whether it hangs on a gimbal whose attitude the vehicle tells; else the drone's counts."""
     timeout_s: float = Field(5.0, gt=0.0, le=60.0)
     """Wall-clock wait for a picture."""
 
@@ -386,12 +390,3 @@ class Mission(Section):
     def sensor_radius_m(self) -> float:
         """Radius of the circular footprint on the ground."""
         return SENSOR_RADIUS_AU * self.area.side_m
-
-    @property
-    def needed_altitude_m(self) -> float:
-        """Height from which a banked camera sees the whole footprint in its shorter direction."""
-        camera = self.camera.model
-        half_angle_rad = min(camera.horizontal_fov_rad, camera.vertical_fov_rad) / 2.0
-        if half_angle_rad <= self.flight.bank_rad:
-            return math.inf
-        return self.sensor_radius_m / math.tan(half_angle_rad - self.flight.bank_rad)

@@ -48,6 +48,13 @@ def on_remote_id(facts: Facts, _: Mission) -> Judgement:
     return no(facts.remote_id) if facts.remote_id else go("ready")
 
 
+def on_gimbal(facts: Facts, mission: Mission) -> Judgement:
+    """Whether a camera on a gimbal looks down."""
+    if not mission.camera.gimbal:
+        return go("none: the camera is fixed to the drone")
+    return go("it looks straight down") if facts.gimbal is None else no(facts.gimbal)
+
+
 def on_camera(facts: Facts, mission: Mission) -> Judgement:
     """Whether pictures come, and in time."""
     if isinstance(facts.sight, CameraError):

@@ -76,6 +76,7 @@ class Facts:
     estimate_doubts: what is against the estimate, in words
     remote_id:       what its remote ID has against arming; None if none is heard
     sight:           how the camera's first picture came, or why not
+    gimbal:          what is against the gimbal; None if it looks down, or there is none
     detector:        what is against the detector; None if it was tried
     free_bytes:      room for the record; needed_bytes: what a flight may need
     hold_limit_s:    for how long the guard lets a failsafe hold before it asks for the return
@@ -91,6 +92,7 @@ class Facts:
     gps: GpsFix | None
     remote_id: str | None
     sight: Sight | CameraError
+    gimbal: str | None = None
     detector: str | None = None
     free_bytes: int
     needed_bytes: int

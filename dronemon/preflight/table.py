@@ -60,6 +60,8 @@ TABLE = (
     Row("failsafe's delay", ("COM_FAIL_ACT_T",), autopilot.on_failsafe_delay),
     Row("remote ID", (), equipment.on_remote_id,
         lambda f: "not heard" if f.remote_id is None else "not ready" if f.remote_id else "ready"),
+    Row("gimbal", (), equipment.on_gimbal,
+        lambda f: "ready" if f.gimbal is None else "failed"),
     Row("camera", (), equipment.on_camera, _sight),
     Row("detector", (), equipment.on_detector,
         lambda f: "ready" if f.detector is None else "failed"),

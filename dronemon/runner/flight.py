@@ -20,7 +20,7 @@ from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.ground import Ground
 from dronemon.runner.history import GOING_ON
-from dronemon.runner.inspection import find, look, refusal
+from dronemon.runner.inspection import aim, find, look, refusal
 from dronemon.runner.last_seen import LastSeen, last_seen
 from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
@@ -202,13 +202,14 @@ class _Flight:
         if not self._is_attached:
             await self._changes.put_back()  # what a flight before this one left
         await self._changes.make(setup.settings)
+        gimbal = await aim(setup)
         sight = await look(setup)
         ground = Ground(setup, self._events, self._changes, is_attached=self._is_attached)
         frame = await ground.lay_area()
         self._battery.parameters = await link.read_parameters(RETURN_PARAMETERS)
         self._refuse_to_take_over()
         if not self._is_attached:
-            await self._check_fitness(sight, frame)
+            await self._check_fitness(sight, frame, gimbal)
         fence = await ground.lay_fence(frame)
         start_au, roadmap = draw_start_and_roadmap(mission)
         await self._brief_planner(start_au, roadmap)
@@ -257,10 +258,10 @@ class _Flight:
             rest = "it is left as it is, and nothing was commanded; wait until it is down"
             raise VehicleError(f"{why}: {rest}, then resume")
 
-    async def _check_fitness(self, sight: Sight, frame: AreaFrame) -> None:
+    async def _check_fitness(self, sight: Sight, frame: AreaFrame, gimbal: str | None) -> None:
         """Tell what is not as it should be. Raises VehicleError where it must not fly so."""
         setup = self._setup
-        findings = await find(setup, sight, frame=frame)
+        findings = await find(setup, sight, frame=frame, gimbal=gimbal)
         if error := refusal(findings, setup.folder if setup.history else None):
             raise error
         for finding in against(findings, Verdict.WARNING):

@@ -40,6 +40,23 @@ _CAMERA_TRIES = 3
 _DETECTOR_LIMIT_S = 60.0
 
 
+async def aim(setup: FlightSetup) -> str | None:
+    """Have the camera look down, where it hangs on a gimbal. -> what is against that
+
+    Nothing is asked of a vehicle that is flown. Raises LinkLost.
+    """
+    if not setup.file.mission.camera.gimbal:
+        return None
+    await setup.link.next_heartbeat()  # a fresh state
+    if _is_flown(setup.link.state):
+        return "the vehicle is flown: its gimbal is left as it is"
+    return await _problem(setup.link.point_down())
+
+
+def _is_flown(state: VehicleState) -> bool:
+    return state.is_armed or state.landed in AIRBORNE
+
+
 async def look(setup: FlightSetup) -> Sight:
     """Compare the camera, which is open, with the mission. Raises CameraError."""
     loop = asyncio.get_running_loop()
@@ -128,6 +145,7 @@ async def find(
     frame: AreaFrame | None,
     unready: str | None = None,
     detector: str | None = None,
+    gimbal: str | None = None,
 ) -> tuple[Finding, ...]:
     """What the table says of the vehicle as it is now. See Facts. Raises VehicleError.
 
@@ -151,6 +169,7 @@ async def find(
         gps=state.gps,
         remote_id=state.remote_id,
         sight=sight,
+        gimbal=gimbal,
         detector=detector,
         free_bytes=shutil.disk_usage(setup.folder).free,
         needed_bytes=NEEDED_BYTES,
@@ -201,7 +220,7 @@ async def inspect_vehicle(
     detector = await _problem(tried)
     unready = await _problem(link.wait_ready(mission.vehicle.ready_timeout_s))
     await link.next_heartbeat()  # a fresh state
-    is_flown = link.state.is_armed or link.state.landed in AIRBORNE
+    is_flown = _is_flown(link.state)
     unready = str(Reason.NOT_OURS) if is_flown else unready
     async with contextlib.AsyncExitStack() as stack:
         changes = stack.enter_context(Changes(link, tell))
@@ -209,6 +228,7 @@ async def inspect_vehicle(
             await changes.put_back()
             stack.push_async_callback(changes.put_back)
             await changes.make(setup.settings)
+        gimbal = await aim(setup)
         sight: Sight | CameraError
         try:
             await stack.enter_async_context(setup.camera)
@@ -218,6 +238,8 @@ async def inspect_vehicle(
         frame = None
         if link.state.home and link.state.origin and not unready:
             frame = lay_area(mission, link.state, link.pose.position_ned_m[2])
-        findings = await find(setup, sight, frame=frame, unready=unready, detector=detector)
+        findings = await find(
+            setup, sight, frame=frame, unready=unready, detector=detector, gimbal=gimbal
+        )
         show(findings)
         return findings

@@ -23,7 +23,7 @@ from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vision.detector import look
 from dronemon.vision.observe import observe, sighting_error_m
 from dronemon.vision.owners import NOBODY, Owners
-from dronemon.vision.project import interpolate_pose
+from dronemon.vision.project import interpolate_pose, on_gimbal
 
 BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while too few pictures say anything, ..."""
@@ -114,8 +114,7 @@ class Observer:
                 now_s, last_s = self._link.time_s, self._pictured_s
                 check_picture(picture, self._mission.camera.model, now_s, last_s)
                 self._pictured_s = picture.time_s
-                poses = await self._link.poses_around(picture.time_s)
-                pose = interpolate_pose(*poses, picture.time_s)
+                pose = await self._camera_pose(picture.time_s)
                 self._freshness.check(picture, pose)
             except CameraError as exc:
                 self._miss(exc)
@@ -124,6 +123,13 @@ class Observer:
                 work.set()
             finally:
                 self._is_taking = False
+
+    async def _camera_pose(self, time_s: float) -> Pose:
+        """Where the camera was at an instant, and how it was turned. Raises CameraError."""
+        pose = interpolate_pose(*await self._link.poses_around(time_s), time_s)
+        if not self._mission.camera.gimbal:
+            return pose
+        return on_gimbal(pose, *await self._link.gimbal_around(time_s))
 
     def _miss(self, exc: CameraError) -> None:
         """A picture says nothing: for a while the beliefs do without."""

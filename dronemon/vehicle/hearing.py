@@ -8,7 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 from dronemon.errors import CommandUnconfirmed, LinkLost, LinkTimeout, VehicleError
-from dronemon.types import Pose
+from dronemon.types import GimbalAttitude, Pose
+from dronemon.vehicle.gimbal import GAP_S
 from dronemon.vehicle.link import StatusText, VehicleState
 from dronemon.vehicle.mode_watch import ModeWatch
 from dronemon.vehicle.telemetry import Telemetry
@@ -119,6 +120,13 @@ class Hearing:
         while (pose := self.telemetry.pose) is None or pose.time_s < time_s:
             await self.next_message()
         return self.telemetry.poses_around(time_s)
+
+    async def gimbal_around(self, time_s: float) -> tuple[GimbalAttitude, GimbalAttitude]:
+        """Wait for the gimbal's attitudes just before and just after an instant."""
+        gimbal = self.telemetry.gimbal
+        while gimbal.newest_s < time_s and self.pose.time_s < time_s + GAP_S:
+            await self.next_message()
+        return gimbal.around(time_s)
 
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true."""

@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Literal, Protocol
 
 from dronemon.frames import GeoPoint
-from dronemon.types import GpsFix, Pose, Vector3
+from dronemon.types import GimbalAttitude, GpsFix, Pose, Vector3
 from dronemon.vehicle.fence_items import FenceItem
 
 
@@ -171,6 +171,12 @@ class VehicleLink(Protocol):
     async def poses_around(self, time_s: float) -> tuple[Pose, Pose]:
         """Wait for the poses just before and just after an instant of the recent past or future."""
 
+    async def gimbal_around(self, time_s: float) -> tuple[GimbalAttitude, GimbalAttitude]:
+        """Wait for the gimbal's attitudes just before and just after an instant.
+
+        Raises CameraError where they are not heard.
+        """
+
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true; `what` says it in errors."""
 
@@ -188,6 +194,9 @@ class VehicleLink(Protocol):
 
     async def write_fence(self, items: Sequence[FenceItem]) -> None:
         """Replace the vehicle's fence, and read it back."""
+
+    async def point_down(self) -> None:
+        """Take control of the gimbal and have it look straight down, with the vehicle's heading."""
 
     async def arm(self) -> None:
         """Start the motors."""

@@ -17,10 +17,11 @@ from dronemon.errors import (
     LinkLost,
     VehicleError,
 )
-from dronemon.types import Pose
+from dronemon.types import GimbalAttitude, Pose
 from dronemon.vehicle.fence_items import FenceItem
 from dronemon.vehicle.hearing import Hearing
 from dronemon.vehicle.link import AIRBORNE, BY_STICKS, Mode, Setpoint, StatusText, VehicleState
+from dronemon.vehicle.pointing import point_down
 from dronemon.vehicle.px4 import RUN_CHECKS, Command
 from dronemon.vehicle.readiness import problems
 from dronemon.vehicle.vehicle_clock import LATE_MS
@@ -140,6 +141,10 @@ class MavsdkLink:
         """Wait for the poses just before and just after an instant."""
         return await self._heard.poses_around(time_s)
 
+    async def gimbal_around(self, time_s: float) -> tuple[GimbalAttitude, GimbalAttitude]:
+        """Wait for the gimbal's attitudes just before and just after an instant."""
+        return await self._heard.gimbal_around(time_s)
+
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true."""
         await self._heard.wait_until(condition, what, timeout_s)
@@ -196,6 +201,10 @@ class MavsdkLink:
         await self._wire.fence.write(items)
 
     # Commands
+
+    async def point_down(self) -> None:
+        """Take control of the gimbal and have it look straight down."""
+        await point_down(self._wire, self._heard, self._attempt_timeout_s)
 
     async def _confirm(self, what: str, command: Command, condition: Callable[[], bool]) -> None:
         """Send a command until telemetry since then shows its effect, three times at most."""

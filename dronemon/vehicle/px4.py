@@ -11,8 +11,9 @@ from dronemon.vehicle.link import Mode
 
 AUTOPILOT_COMPONENT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 REMOTE_ID_STATUS = "OPEN_DRONE_ID_ARM_STATUS"
-"""The one message that may be another component's than the autopilot's: the remote ID's."""
+"""What a remote ID, which is a component of its own, has against arming."""
 _AUTO, _POSITION = 4, 3
+_EVERY_GIMBAL, _UNCHANGED = 0.0, (-1.0, -1.0)
 MODES = {  # main mode, sub mode
     (1, 0): Mode.MANUAL,
     (2, 0): Mode.ALTITUDE,
@@ -92,15 +93,33 @@ class Command:
         return cls(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (message_id, 1e6 / rate_hz))
 
     @classmethod
+    def take_gimbal(cls, system_id: int, component_id: int) -> Command:
+        """Have somebody control the gimbals; who else may, stays."""
+        params = (system_id, component_id, *_UNCHANGED, 0.0, 0.0, _EVERY_GIMBAL)
+        return cls(mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, params)
+
+    @classmethod
     def send(cls, message_id: int) -> Command:
         """Send a message once."""
         return cls(mavlink.MAV_CMD_REQUEST_MESSAGE, (message_id,))
 
 
+LOOK_DOWN = Command(
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
+    (
+        *(-90.0, 0.0, math.nan, math.nan),  # pitch and yaw in degrees, and their rates
+        mavlink.GIMBAL_MANAGER_FLAGS_ROLL_LOCK
+        | mavlink.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
+        | mavlink.GIMBAL_MANAGER_FLAGS_YAW_IN_VEHICLE_FRAME,
+        *(0.0, _EVERY_GIMBAL),
+    ),
+)
+"""Have the gimbals look straight down, with the vehicle's heading."""
 RUN_CHECKS = Command(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
 """Say what is against arming."""
+ACCEPTED = "accepted"
 ANSWERS = {
-    mavlink.MAV_RESULT_ACCEPTED: "accepted",
+    mavlink.MAV_RESULT_ACCEPTED: ACCEPTED,
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now",
     mavlink.MAV_RESULT_DENIED: "denied",
     mavlink.MAV_RESULT_UNSUPPORTED: "not supported",

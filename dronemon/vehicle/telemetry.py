@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -17,6 +18,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from dronemon.errors import CameraError
 from dronemon.frames import GeoPoint
 from dronemon.types import GpsFix, Pose, Vector3
+from dronemon.vehicle.gimbal import GIMBAL_MESSAGES, GimbalTrack
 from dronemon.vehicle.link import Landed, Mode, StatusText, VehicleState
 from dronemon.vehicle.motor_watch import MotorWatch
 from dronemon.vehicle.px4 import REMOTE_ID_STATUS, ROTORCRAFT, mode_of
@@ -68,11 +70,13 @@ class Telemetry:
 
     num_heartbeats: of the autopilot, so far
     texts:          what it says in words
+    gimbal:         how its gimbal was turned of late, if it has one
     """
 
     def __init__(self) -> None:
         self.num_heartbeats = 0
         self.texts = StatusTexts()
+        self.gimbal = GimbalTrack()
         self._state = VehicleState()
         self._clock = VehicleClock()
         self._motors = MotorWatch()
@@ -97,6 +101,7 @@ class Telemetry:
             "AUTOPILOT_VERSION": self._on_version,
             REMOTE_ID_STATUS: self._on_remote_id,
             "STATUSTEXT": lambda fields: self.texts.take(fields, self.time_s),
+            **{name: partial(self._on_gimbal, name) for name in GIMBAL_MESSAGES},
         }
 
     @property
@@ -116,9 +121,9 @@ class Telemetry:
             self._heard_s[name] = self.time_s
 
     def _is_late(self, name: str, fields: dict[str, Any]) -> bool:
-        """Whether a message with a stamp, ATTITUDE apart, is not of the present."""
+        """Whether a message with a stamp, ATTITUDE and gimbals apart, is not of the present."""
         boot_ms = _whole(fields.get("time_boot_ms", 0), 0, 2**32 - 1)
-        if name == "ATTITUDE":
+        if name == "ATTITUDE" or name in GIMBAL_MESSAGES:
             return False
         if "time_boot_ms" in fields:
             stamp, ahead_ms = boot_ms, self._clock.ahead_ms
@@ -232,6 +237,7 @@ class Telemetry:
             self._stamps.clear()
             self._status.forget()
             self._landed.forget()
+            self.gimbal.forget()
             self._heard_s.clear()
         if time_s is None or self._position is None:
             return
@@ -258,6 +264,10 @@ class Telemetry:
                 attitude_rad=attitude_rad,
             )
         )
+
+    def _on_gimbal(self, name: str, fields: dict[str, Any]) -> None:
+        if self._poses:  # before, it is not known when it is
+            self.gimbal.take(name, fields, self.time_s)
 
     def _on_sys_status(self, fields: dict[str, Any]) -> None:
         remaining = _whole(fields["battery_remaining"], -1, 100)

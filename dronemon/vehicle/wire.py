@@ -28,6 +28,7 @@ from dronemon.errors import CommandUnconfirmed, LinkLost, LinkTimeout
 from dronemon.mission.addresses import parse_udpin
 from dronemon.vehicle import fence_items
 from dronemon.vehicle.fence_items import FenceItems
+from dronemon.vehicle.gimbal import GIMBAL_COMPONENTS, GIMBAL_MESSAGES
 from dronemon.vehicle.neighbours import autopilots, choose
 from dronemon.vehicle.parameters import Parameters
 from dronemon.vehicle.px4 import ANSWERS, AUTOPILOT_COMPONENT, REMOTE_ID_STATUS, Command
@@ -38,6 +39,11 @@ _PINGS = 8
 _SEND_LIMIT_S = 2.0
 _HEARTBEAT_S = 1.0
 _REMOTE_IDS = tuple(getattr(mavlink, f"MAV_COMP_ID_ODID_TXRX_{number}") for number in (1, 2, 3))
+_ALSO_OF: dict[str, tuple[int, ...]] = {
+    REMOTE_ID_STATUS: _REMOTE_IDS,
+    **dict.fromkeys(GIMBAL_MESSAGES, GIMBAL_COMPONENTS),
+}
+"""Messages that may be another component's of the vehicle than its autopilot's, and of which."""
 _PARAMS = tuple(f"param{i}" for i in range(1, 8))
 _Take = Callable[[str, dict[str, Any]], None]
 
@@ -45,9 +51,10 @@ _Take = Callable[[str, dict[str, Any]], None]
 class Wire:
     """The link to one autopilot; open inside its `async with`.
 
-    take:       is told each message of the autopilot: its name and fields
+    take:       is told each message of the vehicle: its name and fields, `component` the sender's
     names:      of the messages that are wanted
     parameters, fence: of the vehicle
+    own:        system and component by which it knows us
 
     A port that is held for this link is not asked whether it is free.
     Its limits are wall time.
@@ -105,7 +112,7 @@ class Wire:
         if not self._is_port_held:
             _check_port(self._url)
         configuration = Configuration.create_with_component_type(ComponentType.GROUND_STATION)
-        self._own = (configuration.system_id, configuration.component_id)
+        self.own = (configuration.system_id, configuration.component_id)
         connections = await self._exit.enter_async_context(Mavsdk(configuration))
         try:
             await connections.add_any_connection(self._url)
@@ -162,12 +169,12 @@ class Wire:
                 f"no autopilot heard on {self._url} after {self._connect_timeout_s:g} s; "
                 "is the vehicle on and streaming there?"
             )
-        return systems[choose(heard, self._wanted_id, self._own, self._url)]
+        return systems[choose(heard, self._wanted_id, self.own, self._url)]
 
     # Reading
 
     async def _read(self, name: str) -> None:
-        senders = (AUTOPILOT_COMPONENT, *(_REMOTE_IDS if name == REMOTE_ID_STATUS else ()))
+        senders = (AUTOPILOT_COMPONENT, *_ALSO_OF.get(name, ()))
         async for message in self._direct.subscribe_message(name):
             if message.system_id != self.system_id or message.component_id not in senders:
                 continue
@@ -182,10 +189,10 @@ class Wire:
             elif name == "PARAM_VALUE":
                 self.parameters.take(fields)
             elif name in fence_items.MESSAGES:
-                if _addressee(fields) == self._own:
+                if _addressee(fields) == self.own:
                     self.fence.take(name, fields)
             else:
-                self._take(name, fields)
+                self._take(name, fields | {"component": message.component_id})
                 if name == "HEARTBEAT":
                     self._beat_at = asyncio.get_running_loop().time()
 
@@ -208,7 +215,7 @@ class Wire:
 
     def _take_ping(self, fields: dict[str, Any]) -> None:
         sent_at = self._pings.get(fields.get("time_usec", 0))
-        if _addressee(fields) == self._own and sent_at is not None:
+        if _addressee(fields) == self.own and sent_at is not None:
             self._round_trip_s = asyncio.get_running_loop().time() - sent_at
             self._answered.set()
 

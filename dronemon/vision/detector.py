@@ -26,7 +26,7 @@ class Detector(Protocol):
         """What a picture shows of the targets.
 
         image:         (height, width, 3) uint8 BGR, of the camera's size, left as it is
-        pose:          of the vehicle at capture
+        pose:          of the camera at capture: the vehicle's, on a gimbal with that one's attitude
         ground_down_m: () float64 m down of the ground, in the pose's frame
 
         -> any number of each appearance, in any order, with scores from 0 to 1

@@ -7,9 +7,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
-from dronemon.frames import pixel_to_ground
-from dronemon.types import CameraModel, FloatArray, Pose, Vector3
+from dronemon.errors import CameraError
+from dronemon.frames import attitude_of, camera_to_ned, off_down_rad, pixel_to_ground
+from dronemon.types import CameraModel, FloatArray, GimbalAttitude, Pose, Vector3
+
+_MOST_OFF_DOWN_DEG = 20.0
+"""By which a gimbal may look off straight down and its pictures still count."""
 
 
 def interpolate_pose(before: Pose, after: Pose, time_s: float) -> Pose:
@@ -31,6 +36,25 @@ def interpolate_pose(before: Pose, after: Pose, time_s: float) -> Pose:
         velocity_ned_m_s=_between(before.velocity_ned_m_s, after.velocity_ned_m_s, t),
         attitude_rad=_vector(_wrapped(attitude)),
     )
+
+
+def on_gimbal(pose: Pose, before: GimbalAttitude, after: GimbalAttitude) -> Pose:
+    """The pose of a vehicle with the attitude of its gimbal's camera, between two of the gimbal's.
+
+    Raises CameraError where that looks elsewhere than down.
+    """
+    heading_rad, time_s = pose.attitude_rad[2], pose.time_s
+    rotation = camera_to_ned(before, heading_rad)
+    if after.time_s > before.time_s:
+        both = Rotation.from_matrix(np.stack([rotation, camera_to_ned(after, heading_rad)]))
+        turn = Slerp([before.time_s, after.time_s], both)
+        rotation = turn(np.clip(time_s, before.time_s, after.time_s)).as_matrix()
+    if (off_deg := math.degrees(off_down_rad(rotation))) > _MOST_OFF_DOWN_DEG:
+        raise CameraError(
+            f"the gimbal looks {off_deg:.0f} degrees off straight down, {_MOST_OFF_DOWN_DEG:g} are "
+            "the limit; has somebody turned it, or is it stuck?"
+        )
+    return replace(pose, attitude_rad=attitude_of(rotation))
 
 
 def _moved(pose: Pose, time_s: float) -> Pose:

@@ -6,12 +6,20 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable
 
+import numpy as np
 import pytest
 import virtual_time
 from fake_link import FakeLink
-from simulated_vehicle import free_udp_port
+from simulated_vehicle import ROOT, free_udp_port
 
-from dronemon.errors import CommandUnconfirmed, ControlTaken, LinkLost, LinkTimeout
+from dronemon.errors import (
+    CameraError,
+    CommandUnconfirmed,
+    ControlTaken,
+    LinkLost,
+    LinkTimeout,
+)
+from dronemon.frames import camera_to_ned
 from dronemon.vehicle import Landed, Mode, Setpoint, VehicleLink
 from dronemon.vehicle.fence_items import polygon_items
 from dronemon.vehicle.mavsdk_link import MavsdkLink
@@ -21,7 +29,10 @@ Story = Callable[[VehicleLink], Awaitable[None]]
 
 @pytest.fixture(params=["mavsdk", "fake"])
 def with_link(request):
-    """Run a story with a ready link to a fresh vehicle; `faults` as for `python -m sim`."""
+    """Run a story with a ready link to a fresh vehicle; `faults` as for `python -m sim`.
+
+    It has a gimbal.
+    """
 
     async def tell(link: MavsdkLink | FakeLink, story: Story) -> None:
         async with asyncio.timeout(60 if request.param == "mavsdk" else 3600), link:
@@ -34,7 +45,11 @@ def with_link(request):
             return
         options = [word for fault in faults for word in ("--fault", fault)]
         start = request.getfixturevalue("mock_vehicle")
-        url = start("animals", "--speed-up", "20", *options).url
+        mission = request.getfixturevalue("tmp_path") / "gimbal.yaml"
+        mission.write_text(
+            (ROOT / "missions" / "animals.yaml").read_text() + "camera: {gimbal: true}\n"
+        )
+        url = start(mission, "--speed-up", "20", *options).url
         link = MavsdkLink(url, command_timeout_s=9.0, link_loss_timeout_s=2.0)
         asyncio.run(tell(link, story))
 
@@ -105,6 +120,35 @@ def test_poses_come_in_order_and_enclose_an_instant(with_link):
         assert all(math.isfinite(v) for v in before.position_ned_m + before.attitude_rad)
 
     with_link(story)
+
+
+@in_memory_first
+def test_a_gimbal_is_pointed_down_and_heard(with_link):
+    async def story(link: VehicleLink) -> None:
+        await link.point_down()
+        asked_s = link.time_s + 0.5
+        before, after = await link.gimbal_around(asked_s)
+        assert before.time_s <= asked_s <= after.time_s
+        for attitude in (before, after):
+            np.testing.assert_allclose(camera_to_ned(attitude, 0.0), np.eye(3), atol=0.01)
+
+    with_link(story)
+
+
+@in_memory_first
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("gimbal", "no attitude of a gimbal is heard"), ("askew=30", "looks 30 degrees off")],
+)
+def test_a_gimbal_that_is_silent_or_looks_elsewhere_is_told(with_link, fault, words):
+    async def story(link: VehicleLink) -> None:
+        with pytest.raises(CommandUnconfirmed, match=words):
+            await link.point_down()
+        if fault == "gimbal":
+            with pytest.raises(CameraError, match="attitude at the picture's instant was not h"):
+                await link.gimbal_around(link.time_s)
+
+    with_link(story, fault)
 
 
 @in_memory_first

@@ -145,11 +145,28 @@ def test_a_flight_at_the_edge_of_the_map(
     assert len(flight.lines("observations")) == 10
 
 
+GIMBAL = """
+camera: {gimbal: true}
+simulation: {seed: 3, faults: ["askew=8@15"]}
+"""
+
+
 @pytest.mark.slow
-def test_observations_are_where_the_animals_are(fly: Callable[..., Flight]):
-    """The whole chain of projections: a sign error anywhere puts animals metres away."""
-    flight = fly("--mission", "animals", "--planner", "tsp", "--horizon-au", "2", "--seed", "3")
+@pytest.mark.parametrize("has_gimbal", [False, True])
+def test_observations_are_where_the_animals_are(
+    fly: Callable[..., Flight], tmp_path: Path, has_gimbal: bool
+):
+    """The whole chain of projections: a sign error anywhere puts animals metres away.
+
+    The gimbal is level while the drone banks, and 8 degrees off, which is 6 m here.
+    """
+    mission = tmp_path / "gimbal.yaml"
+    text = (ROOT / "missions" / "animals.yaml").read_text()
+    mission.write_text(text.partition("simulation:")[0] + GIMBAL)
+    name = str(mission) if has_gimbal else "animals"
+    flight = fly("--mission", name, "--planner", "tsp", "--horizon-au", "2", "--seed", "3")
     assert flight.finish()[0] == 0
+    assert len(flight.lines("observations")) == 20
     truth = {round(t["time_s"], 6): t["targets_au"] for t in flight.lines("truth")}
     errors_m = [
         200.0 * max(abs(a - b) for a, b in zip(target["position_au"], true_au, strict=True))

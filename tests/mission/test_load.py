@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
 from dronemon.errors import MissionFileError
-from dronemon.feasibility import load_checked
+from dronemon.feasibility import flight_facts, load_checked, needed_altitude_m
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.faults import KINDS
@@ -125,6 +126,23 @@ def test_message_names_line_and_key(
     assert message.startswith(f":{line}: "), message
     for word in words:
         assert word in message
+
+
+def test_a_gimbal_allows_what_banks_too_much_for_a_fixed_camera(tmp_path: Path):
+    """It stays level: 5 degrees that it may be off take 31.9 m of height, 11.5 take 42.2."""
+    lower = ANIMALS.replace(ALTITUDE, "altitude_m: 33") + "camera: {gimbal: GIMBAL}\n"
+    assert "42.2 m" in _error(tmp_path, lower.replace("GIMBAL", "false"))
+    path = tmp_path / "m.yaml"
+    path.write_text(lower.replace("GIMBAL", "true"))
+    mission = load_checked(str(path), {}, None).mission
+    assert needed_altitude_m(mission) == pytest.approx(
+        20.0 / math.tan(math.atan(0.75) - 0.0873), 1e-3
+    )
+    assert "which it is told to look down" in flight_facts(mission)["camera"]
+    message = _error(tmp_path, lower.replace("GIMBAL", "true").replace("m: 33", "m: 20"))
+    assert "with its gimbal off by 5.0 degrees" in message
+    assert "bank" not in message
+    assert "cruise" not in message
 
 
 def test_a_herd_is_one_entry_and_what_is_wrong_behind_it_is_told_by_its_line(tmp_path: Path):

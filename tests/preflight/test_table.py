@@ -28,6 +28,7 @@ MISSION = Mission.model_validate(
     {
         "area": {"side_m": 200},
         "flight": {"horizon_au": 20},
+        "camera": {"gimbal": True},
         "targets": [{"name": "Bella", "appearance": "cow"}],
     }
 )
@@ -191,6 +192,8 @@ def test_a_ceiling_stays_where_a_lower_return_is_below_it():
         ("pilot takes over", {"has_sticks": False}, WARNING),
         ("remote ID", {"remote_id": ""}, GO),
         ("remote ID", {"remote_id": "no operator"}, NO_GO),
+        ("gimbal", {}, GO),
+        ("gimbal", {"gimbal": "no attitude is heard"}, NO_GO),
         ("camera", {"sight": CameraError("no picture came")}, NO_GO),
         ("camera", {"sight": Sight(wait_s=9.0, age_s=0.0)}, WARNING),
         ("detector", {"detector": "it failed"}, NO_GO),

@@ -103,9 +103,11 @@ class GroundStation(asyncio.DatagramProtocol):
         return result
 
 
-def with_station(story: Callable[[GroundStation], Awaitable[None]], *faults: str) -> None:
-    """Tell a story to a vehicle that has just booted."""
-    mission = make_mission()
+def with_station(
+    story: Callable[[GroundStation], Awaitable[None]], *faults: str, **sections: Any
+) -> None:
+    """Tell a story to a vehicle that has just booted, in a mission of these sections."""
+    mission = make_mission(**sections)
 
     async def tell() -> None:
         parsed = tuple(parse_fault(text) for text in faults)

@@ -238,3 +238,27 @@ def test_server_outlives_rude_clients():
             polite[1].close()
 
     asyncio.run(check())
+
+
+class SlowLens:
+    """A lens of a size whose maps take long at its first picture."""
+
+    def __init__(self):
+        self.seen = []
+
+    def as_seen(self, image):
+        self.seen.append(image.shape)
+        return image
+
+
+def test_a_lens_is_ready_before_the_server_says_that_it_is():
+    async def check():
+        lens = SlowLens()
+        async with CameraServer(CAMERA, SEED, scene_of, lambda _: None, lens=lens) as server:
+            assert lens.seen == [(480, 640, 3)]
+            reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+            assert (await ask(reader, writer))[1].shape == (480, 640, 3)
+            writer.close()
+        assert lens.seen == [(480, 640, 3)] * 2
+
+    asyncio.run(check())
