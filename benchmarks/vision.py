@@ -20,9 +20,18 @@ import numpy as np
 
 from dronemon.frames import AreaFrame, ground_to_pixel, pixel_to_ground
 from dronemon.problem import SENSOR_RADIUS_AU
-from dronemon.types import APPEARANCES, CameraModel, Detection, FloatArray, ImageArray, Pose
+from dronemon.types import (
+    ANIMALS,
+    PEOPLE,
+    VEHICLES,
+    CameraModel,
+    Detection,
+    FloatArray,
+    ImageArray,
+    Pose,
+)
 from dronemon.vision.drawn import DrawnDetector
-from dronemon.vision.prototypes import ENLARGEMENT
+from dronemon.vision.prototypes import COAT_COLOURS, PROTOTYPES
 from sim.camera import encode
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
@@ -40,6 +49,7 @@ def random_scene(
     rng: np.random.Generator,
     height_m: float | None = None,
     *,
+    appearances: tuple[str, ...] = ANIMALS,
     reach: float = 1.0,
     num_near: int = 1,
 ) -> Scene:
@@ -66,9 +76,9 @@ def random_scene(
             rng.uniform(-math.pi, math.pi),
         ),
     )
-    near = rng.permutation(len(APPEARANCES))[:num_near]
+    near = rng.permutation(len(appearances))[:num_near]
     animals = []
-    for i, appearance in enumerate(APPEARANCES):
+    for i, appearance in enumerate(appearances):
         at_m = frame.au_to_ned(rng.uniform(0.0, 1.0, 2))
         if i in near:
             reach_m, bearing = reach * SENSOR_RADIUS_AU * side_m, rng.uniform(0.0, math.tau)
@@ -157,17 +167,19 @@ def _ground(pixel_px: tuple[float, float], scene: Scene) -> FloatArray:
     return pixel_to_ground(np.array(pixel_px), CAMERA, scene.pose, scene.frame.ground_down_m)
 
 
-def benchmark(seed: int, num_pictures: int, height_m: float | None) -> None:
-    """Print how well and how fast animals are found."""
+def benchmark(
+    seed: int, num_pictures: int, appearances: tuple[str, ...], height_m: float | None
+) -> None:
+    """Print how well and how fast targets are found."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
-    detector = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
+    detector = DrawnDetector(appearances, CAMERA, min_score=0.5)
     tally = Tally()
     render_ms: list[float] = []
     carry_ms: list[float] = []
     detect_ms: list[float] = []
     for _ in range(num_pictures):
-        scene = random_scene(rng, height_m)
+        scene = random_scene(rng, height_m, appearances=appearances)
         start_s = time.thread_time()
         image = renderer.render(scene)
         rendered_s = time.thread_time()
@@ -186,27 +198,40 @@ def benchmark(seed: int, num_pictures: int, height_m: float | None) -> None:
     print(f"JPEG both ways, CPU median {np.median(carry_ms):6.1f} ms")
 
 
-def measure(seed: int, num_pictures: int) -> None:
-    """Print the median traits of the simulated animals, for `dronemon.vision.prototypes`."""
+def measure(
+    seed: int, num_pictures: int, appearances: tuple[str, ...], height_m: float | None
+) -> None:
+    """Print the median traits of what is drawn, for `dronemon.vision.prototypes`."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
-    detector = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
-    traits: dict[str, list[FloatArray]] = {name: [] for name in APPEARANCES}
+    detector = DrawnDetector(appearances, CAMERA, min_score=0.5)
+    traits: dict[str, list[FloatArray]] = {name: [] for name in appearances}
     for _ in range(num_pictures):
-        scene = random_scene(rng, reach=1.5, num_near=4)
+        scene = random_scene(rng, height_m, appearances=appearances, reach=1.5, num_near=4)
         image: ImageArray = renderer.render(scene)
         for candidate in detector.candidates(image, scene.pose, scene.frame.ground_down_m):
             at_m = _ground((candidate.centre_px[0], candidate.centre_px[1]), scene)
             for animal in scene.animals:
                 if np.linalg.norm(at_m - animal.position_ned_m) < MATCH_M:
                     traits[animal.appearance].append(candidate.traits)
-    print("appearance  length_m  width_m  coat (black, white, orange, tan, brown)   bands")
     for name, rows in traits.items():
         length_m, width_m, *coat, bands = np.median(rows, axis=0)
-        print(
-            f"{name:10s} {length_m / ENLARGEMENT:8.2f} {width_m / ENLARGEMENT:8.2f}    "
-            f"{', '.join(f'{share:.2f}' for share in coat):38s} {bands:8.1f}"
+        shares = ", ".join(
+            f'"{colour}": {share:.2f}'
+            for colour, share in zip(COAT_COLOURS, coat, strict=True)
+            if share >= 0.005
         )
+        height_m_ = PROTOTYPES[name].height_m
+        print(
+            f'"{name}": Prototype({length_m:.2f}, {width_m:.2f}, {{{shares}}}, {bands:.1f}, {height_m_:.2f}),'
+        )
+        if VERBOSE:
+            print("   ", len(rows), "sd", np.round((np.percentile(rows, 84, axis=0)-np.percentile(rows, 16, axis=0))/2, 2))
+
+
+VERBOSE = True
+GROUPS = {"animals": ANIMALS, "people": PEOPLE, "vehicles": VEHICLES}
+"""What is in the pictures of one benchmark."""
 
 
 def main() -> None:
@@ -214,14 +239,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, help="default: 0, or 10001 with --measure")
     parser.add_argument("--pictures", type=int, default=500)
+    parser.add_argument("--of", choices=[*GROUPS, "all"], default="animals", help="default: animals")
     parser.add_argument("--height-m", type=float, help="default: 35 +-20 %%")
     parser.add_argument("--measure", action="store_true", help="print the prototypes instead")
     options = parser.parse_args()
     cv2.setNumThreads(1)
+    appearances = GROUPS.get(options.of) or tuple(name for of in GROUPS.values() for name in of)
     if options.measure:
-        measure(10001 if options.seed is None else options.seed, options.pictures)
+        measure(10001 if options.seed is None else options.seed, options.pictures, appearances, options.height_m)
     else:
-        benchmark(options.seed or 0, options.pictures, options.height_m)
+        benchmark(options.seed or 0, options.pictures, appearances, options.height_m)
 
 
 if __name__ == "__main__":

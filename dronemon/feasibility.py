@@ -17,7 +17,7 @@ from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.vision.detector import DRAWN_NEEDS_PX_PER_M
+from dronemon.vision.prototypes import PROTOTYPES
 from dronemon.world.motions import motion_flaw
 
 
@@ -92,8 +92,9 @@ def px_per_m(mission: Mission) -> float:
 def needed_px_per_m(mission: Mission) -> float | None:
     """The least that the detector needs of it; None where nobody has said."""
     of = mission.detector
-    is_own = of.needed_px_per_m is None and of.kind == "drawn"
-    return DRAWN_NEEDS_PX_PER_M if is_own else of.needed_px_per_m
+    if of.needed_px_per_m is not None or of.kind != "drawn":
+        return of.needed_px_per_m
+    return max(PROTOTYPES[target.appearance].needed_px_per_m for target in mission.targets)
 
 
 def flight_facts(m: Mission) -> dict[str, str]:

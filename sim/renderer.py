@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 
 from dronemon.frames import AreaFrame
-from dronemon.types import APPEARANCES, CameraModel, FloatArray, ImageArray, Pose
+from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
 from sim.ground_texture import TEXEL_M, TILE_M, draw_ground, pyramid
+from sim.painting import SPRITE_PX_PER_M
 from sim.scene import Animal, Scene
-from sim.sprites import NUM_PHASES, SPRITE_PX_PER_M, draw_sprites, stride_m
+from sim.sprites import draw_sprites, stride_m
 
 _SHADOW_PER_M = (0.45, 0.40)
 """Shadow of a pole one metre high, to the north and to the east."""
@@ -35,7 +36,6 @@ class Renderer:
     def __init__(self, camera: CameraModel, seed: int) -> None:
         self._camera = camera
         self._tiles = pyramid(draw_ground(seed), 6)
-        self._sprites = {name: draw_sprites(name) for name in APPEARANCES}
         shape = (camera.height_px + 64, camera.width_px + 64, 3)
         noise = np.random.default_rng((seed, 1)).normal(128.0, _NOISE_STD, shape)
         self._noise = np.rint(noise).astype(np.uint8)
@@ -75,14 +75,15 @@ class Renderer:
         if not view.is_near(north_m, east_m):
             return
         phase = animal.walked_m / stride_m(animal.appearance) % 1.0
-        sprite = self._sprites[animal.appearance][int(phase * NUM_PHASES) % NUM_PHASES]
-        height_m = sprite.body_height_m
+        sprites = draw_sprites(animal.appearance)
+        sprite = sprites[int(phase * len(sprites)) % len(sprites)]
+        height_m = sprite.top_m
         shadow_m = (north_m + _SHADOW_PER_M[0] * height_m, east_m + _SHADOW_PER_M[1] * height_m)
         shadow_at, at = (*shadow_m, animal.heading_rad), (north_m, east_m, animal.heading_rad)
-        _stamp(image, view, sprite.body, at=shadow_at, height_m=0.0, is_shadow=True)
+        _stamp(image, view, sprite.upper, at=shadow_at, height_m=0.0, is_shadow=True)
         for fraction in (0.0, 0.35, 0.7):
-            _stamp(image, view, sprite.legs, at=at, height_m=fraction * height_m)
-        _stamp(image, view, sprite.body, at=at, height_m=height_m)
+            _stamp(image, view, sprite.lower, at=at, height_m=fraction * height_m)
+        _stamp(image, view, sprite.upper, at=at, height_m=height_m)
 
     def _expose(self, image: ImageArray, time_s: float) -> ImageArray:
         """Slight blur and sensor noise that differs from one instant to the next."""
