@@ -77,7 +77,7 @@ def random_scene(
         ),
     )
     near = rng.permutation(len(appearances))[:num_near]
-    animals = []
+    animals: list[Animal] = []
     for i, appearance in enumerate(appearances):
         at_m = frame.au_to_ned(rng.uniform(0.0, 1.0, 2))
         if i in near:
@@ -92,8 +92,15 @@ def random_scene(
             heading_rad=rng.uniform(-math.pi, math.pi),
             walked_m=rng.uniform(0.0, 100.0),
         )
-        animals.append(animal)
+        if not any(touch(animal, other) for other in animals):
+            animals.append(animal)
     return Scene(pose=pose, frame=frame, animals=tuple(animals))
+
+
+def touch(one: Animal, other: Animal) -> bool:
+    """Whether two may be drawn one over the other."""
+    lengths_m = [drawn_size_m(animal.appearance)[0] for animal in (one, other)]
+    return math.dist(one.position_ned_m, other.position_ned_m) < 0.5 * sum(lengths_m)
 
 
 def is_whole(scene: Scene, animal: Animal) -> bool:
@@ -134,15 +141,15 @@ class Tally:
         for detection in detections:
             at_m = _ground(detection.pixel_px, scene)
             distance_m = np.linalg.norm(positions_m - at_m, axis=1)
-            same = [a.appearance == detection.appearance for a in scene.animals].index(True)
-            if distance_m[same] < MATCH_M:
-                named.add(same)
-                if is_whole(scene, scene.animals[same]):
-                    self.errors_m.append(float(distance_m[same]))
-            elif distance_m.min() < MATCH_M:
+            nearest = int(distance_m.argmin())
+            if distance_m[nearest] >= MATCH_M:
+                is_false = True
+            elif scene.animals[nearest].appearance != detection.appearance:
                 self.num_wrong += 1
             else:
-                is_false = True
+                named.add(nearest)
+                if is_whole(scene, scene.animals[nearest]):
+                    self.errors_m.append(float(distance_m[nearest]))
         whole = {i for i, animal in enumerate(scene.animals) if is_whole(scene, animal)}
         self.num_pictures += 1
         self.num_detections += len(detections)

@@ -51,7 +51,7 @@ class Person:
 
 
 PEOPLE: dict[str, Person] = {
-    "person-blue": Person(jacket=(0.75, 0.30, 0.08)),
+    "person-blue": Person(jacket=(0.85, 0.42, 0.12)),
     "person-orange": Person(jacket=(0.08, 0.45, 0.98)),
     "person-pink": Person(jacket=(0.72, 0.20, 0.95)),
     "person-red": Person(jacket=(0.14, 0.10, 0.80)),

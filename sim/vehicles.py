@@ -69,10 +69,10 @@ def _van(colour: Vector3) -> Vehicle:
 
 
 def _truck(colour: Vector3) -> Vehicle:
-    """A lorry of two axles: cab, gap and box."""
-    panes, gap = ((3.95, 4.20, 1.05),), (2.05, 2.45)
+    """A lorry of three axles: cab, gap and box."""
+    panes, gap = ((4.85, 5.10, 1.05),), (2.95, 3.35)
     return Vehicle(
-        colour=colour, length_m=8.6, half_breadth_m=1.25, top_m=3.2, glass=panes, gap_x_m=gap
+        colour=colour, length_m=10.5, half_breadth_m=1.25, top_m=3.2, glass=panes, gap_x_m=gap
     )
 
 

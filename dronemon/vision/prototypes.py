@@ -19,9 +19,9 @@ COAT_COLOURS = {
     "orange": ((26, 94, 224), (31, 128, 245)),
     "tan": ((76, 128, 184),),
     "brown": ((23, 43, 92),),
-    "red": ((36, 26, 204), (31, 23, 189)),
+    "red": ((36, 26, 204), (31, 23, 189), (49, 72, 150)),
     "yellow": ((26, 224, 235), (15, 204, 242)),
-    "blue": ((191, 77, 20), (178, 71, 20)),
+    "blue": ((217, 107, 31), (178, 71, 20)),
     "pink": ((184, 51, 242),),
 }
 """BGR, 0 to 255, in full light."""
@@ -49,6 +49,8 @@ class Prototype:
     coat:              shares of the COAT_COLOURS; 0 where not named
     bands:             sum of all changes of brightness along its axis over the largest one
     height_m:          of the plane that most of it is seen in
+    varies:            standard deviations between pictures: of length and width, relative to
+                       them, and of the shares
     """
 
     length_m: float
@@ -56,6 +58,7 @@ class Prototype:
     coat: Mapping[str, float]
     bands: float
     height_m: float
+    varies: tuple[float, float, float] = (0.07, 0.17, 0.07)
     needed_px_per_m: float = 5.5
     """Size on the picture of a metre on the ground below which it is too often missed.
 
@@ -77,8 +80,21 @@ class Prototype:
     @property
     def spreads(self) -> FloatArray:
         """-> as traits: their standard deviations between pictures"""
-        size_m = 0.07 * self.length_m, 0.17 * self.width_m
-        return np.array([*size_m, *[0.07] * len(COAT_COLOURS), 0.3 + 0.15 * self.bands])
+        length, width, share = self.varies
+        size_m = length * self.length_m, width * self.width_m
+        return np.array([*size_m, *[share] * len(COAT_COLOURS), 0.3 + 0.15 * self.bands])
+
+
+def _person(coat: Mapping[str, float]) -> Prototype:
+    """A person, of whom the picture shows more or less of the dark trousers."""
+    return Prototype(0.75, 0.38, coat, 1.4, 1.35, varies=(0.3, 0.25, 0.15), needed_px_per_m=10.0)
+
+
+def _vehicle(
+    length_m: float, width_m: float, coat: Mapping[str, float], bands: float, height_m: float
+) -> Prototype:
+    """A vehicle, of which the picture shows more or less of one side."""
+    return Prototype(length_m, width_m, coat, bands, height_m, varies=(0.07, 0.25, 0.07))
 
 
 # Length and width in m, shares of colours, bands, height in m.
@@ -93,20 +109,21 @@ PROTOTYPES = {
     "sheep": Prototype(2.48, 1.08, {"black": 0.07, "white": 0.93}, 1.3, 0.94),
     "tiger": Prototype(4.18, 1.30, {"orange": 0.61, "tan": 0.38, "brown": 0.01}, 6.0, 1.11),
     "zebra": Prototype(3.87, 1.04, {"black": 0.41, "white": 0.59}, 10.9, 1.58),
-    "person-blue": Prototype(0.60, 0.40, {"blue": 0.7, "black": 0.3}, 1.5, 1.35),
-    "person-orange": Prototype(0.60, 0.40, {"orange": 0.7, "black": 0.3}, 1.5, 1.35),
-    "person-pink": Prototype(0.60, 0.40, {"pink": 0.7, "black": 0.3}, 1.5, 1.35),
-    "person-red": Prototype(0.60, 0.40, {"red": 0.7, "black": 0.3}, 1.5, 1.35),
-    "person-yellow": Prototype(0.60, 0.40, {"yellow": 0.7, "black": 0.3}, 1.5, 1.35),
-    "bus-red": Prototype(13.8, 2.9, {"red": 0.95, "black": 0.05}, 2.5, 2.9),
-    "bus-yellow": Prototype(13.8, 2.9, {"yellow": 0.95, "black": 0.05}, 2.5, 2.9),
-    "car-black": Prototype(5.0, 2.1, {"black": 1.0}, 2.5, 1.1),
-    "car-blue": Prototype(5.0, 2.1, {"blue": 0.8, "black": 0.2}, 2.5, 1.1),
-    "car-red": Prototype(5.0, 2.1, {"red": 0.8, "black": 0.2}, 2.5, 1.1),
-    "car-white": Prototype(5.0, 2.1, {"white": 0.8, "black": 0.2}, 2.5, 1.1),
-    "car-yellow": Prototype(5.0, 2.1, {"yellow": 0.8, "black": 0.2}, 2.5, 1.1),
-    "truck-blue": Prototype(9.9, 2.9, {"blue": 0.95, "black": 0.05}, 2.5, 3.2),
-    "truck-white": Prototype(9.9, 2.9, {"white": 0.95, "black": 0.05}, 2.5, 3.2),
-    "van-blue": Prototype(6.8, 2.3, {"blue": 0.9, "black": 0.1}, 2.5, 2.4),
-    "van-white": Prototype(6.8, 2.3, {"white": 0.9, "black": 0.1}, 2.5, 2.4),
+    "shadow": _person({"black": 1.0}),  # of a bush, which nobody watches
+    "person-blue": _person({"black": 0.61, "blue": 0.36}),
+    "person-orange": _person({"black": 0.14, "orange": 0.36, "tan": 0.41, "red": 0.03}),
+    "person-pink": _person({"black": 0.36, "red": 0.14, "pink": 0.45}),
+    "person-red": _person({"black": 0.10, "tan": 0.18, "brown": 0.05, "red": 0.61}),
+    "person-yellow": _person({"black": 0.10, "tan": 0.02, "yellow": 0.80}),
+    "bus-red": _vehicle(14.9, 3.9, {"black": 0.03, "brown": 0.03, "red": 0.93}, 2.4, 2.9),
+    "bus-yellow": _vehicle(14.9, 3.8, {"black": 0.02, "yellow": 0.98}, 4.5, 2.9),
+    "car-black": _vehicle(5.10, 2.26, {"black": 1.0}, 1.3, 1.1),
+    "car-blue": _vehicle(5.3, 2.6, {"black": 0.19, "blue": 0.81}, 3.6, 1.1),
+    "car-red": _vehicle(5.3, 2.5, {"black": 0.09, "tan": 0.04, "brown": 0.05, "red": 0.82}, 3.1, 1.1),
+    "car-white": _vehicle(5.2, 2.3, {"black": 0.13, "white": 0.87}, 4.4, 1.1),
+    "car-yellow": _vehicle(5.2, 2.4, {"black": 0.07, "tan": 0.01, "yellow": 0.92}, 4.5, 1.1),
+    "truck-blue": _vehicle(13.1, 4.5, {"black": 0.07, "blue": 0.93}, 1.7, 3.2),
+    "truck-white": _vehicle(13.0, 3.9, {"black": 0.02, "white": 0.98}, 3.9, 3.2),
+    "van-blue": _vehicle(7.5, 3.1, {"black": 0.11, "blue": 0.88}, 2.3, 2.4),
+    "van-white": _vehicle(7.5, 2.9, {"black": 0.05, "white": 0.95}, 2.9, 2.4),
 }
