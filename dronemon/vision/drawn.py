@@ -34,9 +34,9 @@ _PATCH_SHARE = 0.85
 """What may be seen of a target's length and width, over the patch that it is shown in."""
 _PATCH_HEIGHT_M = 0.81
 """Height of the plane that patches are cut from: between the feet and the back of most animals."""
-_MIN_PX_PER_M = 4.0
-_ENOUGH = 1.45
-"""Detail that pictures are shrunk to, over what the smallest target watched needs."""
+_LEAST, _ENOUGH = 0.73, 1.45
+"""Detail at which a candidate is too far away to tell, over what the largest target watched needs;
+and detail that pictures are shrunk to, over what the smallest one needs."""
 _MIN_AREA = 0.2
 """Least area of a candidate, over that of the smallest target watched."""
 _MAX_CANDIDATES = 64
@@ -79,7 +79,9 @@ class DrawnDetector:
         self._spreads = np.stack([prototype.spreads for prototype in PROTOTYPES.values()])
         watched = [PROTOTYPES[appearance] for appearance in self._appearances]
         self._least_area_m2 = _MIN_AREA * min(prototype.area_m2 for prototype in watched)
-        self._enough_px_per_m = _ENOUGH * max(prototype.needed_px_per_m for prototype in watched)
+        needed_px_per_m = [prototype.needed_px_per_m for prototype in watched]
+        self._least_px_per_m = _LEAST * min(needed_px_per_m)
+        self._enough_px_per_m = _ENOUGH * max(needed_px_per_m)
         self._colour_table = _colour_table()
 
     def detect(self, image: ImageArray, pose: Pose, ground_down_m: float) -> tuple[Detection, ...]:
@@ -113,7 +115,7 @@ class DrawnDetector:
             corners_px = self._patch_corners(spot / scale, reach_m, pose, ground_down_m)
             if not np.isfinite(corners_px).all():
                 continue
-            if _size(corners_px) < _MIN_PX_PER_M * 2.0 * reach_m:
+            if _size(corners_px) < self._least_px_per_m * 2.0 * reach_m:
                 continue  # too far away to tell
             patch_from_image = _square_from(corners_px * scale)
             patch = cv2.warpPerspective(

@@ -87,14 +87,14 @@ class Prototype:
 
 def _person(coat: Mapping[str, float]) -> Prototype:
     """A person, of whom the picture shows more or less of the dark trousers."""
-    return Prototype(0.75, 0.38, coat, 1.4, 1.35, varies=(0.3, 0.25, 0.15), needed_px_per_m=10.0)
+    return Prototype(0.75, 0.38, coat, 1.4, 1.35, varies=(0.3, 0.25, 0.15), needed_px_per_m=9.0)
 
 
 def _vehicle(
     length_m: float, width_m: float, coat: Mapping[str, float], bands: float, height_m: float
 ) -> Prototype:
     """A vehicle, of which the picture shows more or less of one side."""
-    return Prototype(length_m, width_m, coat, bands, height_m, varies=(0.07, 0.25, 0.07))
+    return Prototype(length_m, width_m, coat, bands, height_m, varies=(0.07, 0.25, 0.07), needed_px_per_m=3.0)
 
 
 # Length and width in m, shares of colours, bands, height in m.
