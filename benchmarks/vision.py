@@ -190,7 +190,7 @@ def benchmark(
         start_s = time.thread_time()
         image = renderer.render(scene)
         rendered_s = time.thread_time()
-        jpeg = np.frombuffer(encode(image), np.uint8)
+        jpeg = np.frombuffer(encode(image, 95), np.uint8)
         image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
         received_s = time.thread_time()
         detections = detector.detect(image, scene.pose, scene.frame.ground_down_m)

@@ -94,7 +94,8 @@ def needed_px_per_m(mission: Mission) -> float | None:
     of = mission.detector
     if of.needed_px_per_m is not None or of.kind != "drawn":
         return of.needed_px_per_m
-    return max(PROTOTYPES[target.appearance].needed_px_per_m for target in mission.targets)
+    looks = {target.appearance for target in mission.targets} & PROTOTYPES.keys()
+    return max((PROTOTYPES[look].needed_px_per_m for look in looks), default=None)
 
 
 def flight_facts(m: Mission) -> dict[str, str]:

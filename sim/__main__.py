@@ -86,6 +86,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
             truth.write,
             simulated.faults.active,
             Rectifier.of_mission(mission),
+            mission.simulation,
         )
         if isinstance(simulated, Follower):
             vehicle = simulated.run(camera)

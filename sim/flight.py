@@ -97,8 +97,10 @@ class MockFlight:
 
     def scene(self) -> Scene:
         """What there is to see at this instant."""
-        pose = self.autopilot.body.pose(self.autopilot.time_s)
-        return self._world.scene(pose, self._frame, self._time_s)
+        body = self.autopilot.body
+        turn_rad_s = body.roll_rate, body.pitch_rate, body.yaw_rate
+        pose = body.pose(self.autopilot.time_s)
+        return self._world.scene(pose, self._frame, self._time_s, turn_rad_s)
 
     async def open_links(
         self, remotes: list[tuple[str, int]], signing_key: bytes | None = None
