@@ -16,6 +16,7 @@ import numpy as np
 from dronemon.mission.schema import Simulation
 from dronemon.types import CameraModel, ImageArray
 from dronemon.vision.lens import Rectifier
+from sim.exposure import KIND
 from sim.renderer import Renderer
 from sim.scene import Scene, with_faults
 
@@ -47,7 +48,7 @@ class CameraServer:
         on_capture: Callable[[Scene], None],
         faults: Mapping[str, float] = MappingProxyType({}),
         lens: Rectifier | None = None,
-        simulation: Simulation = Simulation(),
+        simulation: Simulation = KIND,
     ) -> None:
         self.silent = False
         self._camera = camera
@@ -136,7 +137,7 @@ class CameraServer:
 
 
 def encode(image: ImageArray, quality: int) -> bytes:
-    """The picture as it goes over the wire: a JPEG, its colours at half resolution if it is poor."""
+    """The picture as it goes over the wire: a JPEG; below 90 its colours have half the detail."""
     is_full = quality >= _FULL_COLOUR_QUALITY
     colours = (
         cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444 if is_full else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420

@@ -1,4 +1,4 @@
-"""How a picture is taken of what there is to see: the open shutter, the sensor's light and noise."""
+"""How a picture is taken of what there is to see: the open shutter, the light, the noise."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 from dronemon.mission.schema import Simulation
 from dronemon.types import CameraModel, FloatArray, ImageArray
 
+KIND = Simulation()
+"""Full daylight, and nothing else that blurs or spoils pictures."""
 _BLUR_PX = 0.55
 _NOISE_STD = 2.5
 _SPARE_PX = 64

@@ -14,7 +14,7 @@ import numpy as np
 from dronemon.frames import AreaFrame
 from dronemon.mission.schema import Simulation
 from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
-from sim.exposure import Exposure, smear
+from sim.exposure import KIND, Exposure, smear
 from sim.ground_texture import TEXEL_M, TILE_M, draw_clouds, draw_ground, pyramid
 from sim.painting import SPRITE_PX_PER_M
 from sim.scene import Animal, Scene
@@ -36,9 +36,7 @@ class Renderer:
     simulation: says how kind light, clouds and shutter are
     """
 
-    def __init__(
-        self, camera: CameraModel, seed: int, simulation: Simulation = Simulation()
-    ) -> None:
+    def __init__(self, camera: CameraModel, seed: int, simulation: Simulation = KIND) -> None:
         self._camera = camera
         self._shutter_s = simulation.exposure_s
         self._exposure = Exposure(camera, seed, simulation)

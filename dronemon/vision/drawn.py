@@ -42,7 +42,7 @@ _MIN_AREA = 0.2
 _MAX_CANDIDATES = 64
 _MIN_HEIGHT_M = 2.0
 _MISFIT_LIMIT, _MISFIT_SLOPE = 40.0, 8.0
-"""Squared deviation from a prototype, in spreads, at which it is as likely none, and how sharply."""
+"""Squared deviation, in spreads, at which it is as likely none of them, and how sharply so."""
 _FAINT = 60.0
 """Contrast below which a coat counts as plain."""
 _GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -134,7 +134,7 @@ class DrawnDetector:
         return found
 
     def _spots(self, image: ImageArray, px_per_m: float) -> list[tuple[FloatArray, float]]:
-        """Connected areas of coat colours clear of the picture's edge: centre (u, v), extent in m."""
+        """Centre (u, v) and extent in m of connected coat colours clear of the picture's edge."""
         coat = cv2.morphologyEx((self._coat(image) > 0).astype(np.uint8), cv2.MORPH_CLOSE, _GAP)
         num, _, stats, centres = cv2.connectedComponentsWithStats(coat, connectivity=8)
         left, top, width, height, area = stats[1:num].T

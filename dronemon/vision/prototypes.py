@@ -94,7 +94,9 @@ def _vehicle(
     length_m: float, width_m: float, coat: Mapping[str, float], bands: float, height_m: float
 ) -> Prototype:
     """A vehicle, of which the picture shows more or less of one side."""
-    return Prototype(length_m, width_m, coat, bands, height_m, varies=(0.07, 0.25, 0.07), needed_px_per_m=3.0)
+    return Prototype(
+        length_m, width_m, coat, bands, height_m, varies=(0.07, 0.25, 0.07), needed_px_per_m=3.0
+    )
 
 
 # Length and width in m, shares of colours, bands, height in m.
@@ -119,7 +121,9 @@ PROTOTYPES = {
     "bus-yellow": _vehicle(14.9, 3.8, {"black": 0.02, "yellow": 0.98}, 4.5, 2.9),
     "car-black": _vehicle(5.10, 2.26, {"black": 1.0}, 1.3, 1.1),
     "car-blue": _vehicle(5.3, 2.6, {"black": 0.19, "blue": 0.81}, 3.6, 1.1),
-    "car-red": _vehicle(5.3, 2.5, {"black": 0.09, "tan": 0.04, "brown": 0.05, "red": 0.82}, 3.1, 1.1),
+    "car-red": _vehicle(
+        5.3, 2.5, {"black": 0.09, "tan": 0.04, "brown": 0.05, "red": 0.82}, 3.1, 1.1
+    ),
     "car-white": _vehicle(5.2, 2.3, {"black": 0.13, "white": 0.87}, 4.4, 1.1),
     "car-yellow": _vehicle(5.2, 2.4, {"black": 0.07, "tan": 0.01, "yellow": 0.92}, 4.5, 1.1),
     "truck-blue": _vehicle(13.1, 4.5, {"black": 0.07, "blue": 0.93}, 1.7, 3.2),
