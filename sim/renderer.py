@@ -60,10 +60,12 @@ class Renderer:
     def _end_from_start(self, scene: Scene) -> FloatArray:
         """Where the ground of a picture is once the shutter closes, from where it was. -> (3, 3)"""
         start, end = (
-            _View(self._camera, scene.pose_after(time_s), scene.frame.ground_down_m).homography(0.0)
+            _View(self._camera, scene.pose_after(time_s), scene.frame.ground_down_m)
             for time_s in (-0.5 * self._shutter_s, 0.5 * self._shutter_s)
         )
-        return end @ np.linalg.inv(start)
+        flown = np.eye(3)  # of ground points, which are seen from the vehicle
+        flown[:2, 2] = np.subtract(start.north_east_m, end.north_east_m)
+        return end.homography(0.0) @ flown @ np.linalg.inv(start.homography(0.0))
 
     def _draw_ground(self, view: _View) -> ImageArray:
         level = math.log2(1.0 / (view.px_per_m * TEXEL_M))
