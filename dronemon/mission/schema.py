@@ -208,7 +208,7 @@ class Target(Section):
         min_length=1,
         max_length=80,
         description="What the detector knows it by: "
-        f"{', '.join(APPEARANCES)} for the simulator's animals, else a class of the network, the "
+        f"{', '.join(APPEARANCES)} of the simulator, else a class of the network, the "
         "number of a marker, or any word for a blob. Several may have the same.",
     )
     count: int = Field(1, ge=1, le=MAX_TARGETS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -46,10 +47,14 @@ def scene_of(velocity_m_s=(0.0, 0.0, 0.0), turn_rad_s=(0.0, 0.0, 0.0)):
     return Scene(pose=pose, frame=frame, animals=(CAR,), turn_rad_s=turn_rad_s)
 
 
+@cache
+def renderer_of(**unkind):
+    return Renderer(CAMERA, SEED, Simulation(**unkind))
+
+
 def picture(scene=None, **unkind):
     """-> (height, width, 3) as numbers that can be taken from each other"""
-    renderer = Renderer(CAMERA, SEED, Simulation(**unkind))
-    return renderer.render(scene or scene_of()).astype(np.float64)
+    return renderer_of(**unkind).render(scene or scene_of()).astype(np.float64)
 
 
 @pytest.mark.parametrize(
