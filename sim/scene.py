@@ -1,4 +1,4 @@
-"""What the simulated camera looks at: the vehicle's pose and the animals, at one instant."""
+"""What the simulated camera looks at: the drone's pose and the targets, at one instant."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from dronemon.types import Pose, Vector3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Animal:
-    """One animal at one instant. `walked_m` moves its legs; `position_ned_m` is (north, east)."""
+    """One animal, or a person or vehicle, at one instant. `position_ned_m` is (north, east).
+
+    walked_m: moves its legs
+    """
 
     name: str
     appearance: str
