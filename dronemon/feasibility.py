@@ -18,7 +18,7 @@ from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.vision.detector import DRAWN_NEEDS_PX_PER_M
+from dronemon.vision.prototypes import PROTOTYPES
 from dronemon.world.motions import motion_flaw
 
 
@@ -93,8 +93,10 @@ def px_per_m(mission: Mission) -> float:
 def needed_px_per_m(mission: Mission) -> float | None:
     """The least that the detector needs of it; None where nobody has said."""
     of = mission.detector
-    is_own = of.needed_px_per_m is None and of.kind == "drawn"
-    return DRAWN_NEEDS_PX_PER_M if is_own else of.needed_px_per_m
+    if of.needed_px_per_m is not None or of.kind != "drawn":
+        return of.needed_px_per_m
+    looks = {target.appearance for target in mission.targets} & PROTOTYPES.keys()
+    return max((PROTOTYPES[look].needed_px_per_m for look in looks), default=None)
 
 
 def tilt_rad(mission: Mission) -> float:

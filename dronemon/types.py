@@ -21,8 +21,15 @@ IntArray: TypeAlias = "NDArray[np.int64]"
 ImageArray: TypeAlias = "NDArray[np.uint8]"
 Vector3 = tuple[float, float, float]
 GRAVITY_M_S2 = 9.80665
-APPEARANCES = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
-"""Animals that the simulator draws and the drawn detector tells apart."""
+ANIMALS = ("cow", "deer", "fox", "horse", "panda", "sheep", "tiger", "zebra")
+PEOPLE = ("person-blue", "person-orange", "person-pink", "person-red", "person-yellow")
+VEHICLES = (
+    *("bus-red", "bus-yellow"),
+    *("car-black", "car-blue", "car-red", "car-white", "car-yellow"),
+    *("truck-blue", "truck-white", "van-blue", "van-white"),
+)
+APPEARANCES = (*ANIMALS, *PEOPLE, *VEHICLES)
+"""What the simulator draws and the drawn detector tells apart."""
 Layout = Literal["yolov5", "yolov8", "yolov10", "rtdetr", "detr"]
 """How a network's outputs hold boxes: see `dronemon.vision.layouts`."""
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)

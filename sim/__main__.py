@@ -36,6 +36,7 @@ from sim.faults import (
 )
 from sim.flight import MockFlight
 from sim.follow import Follower
+from sim.sprites import draw_sprites
 from sim.world import TruthFile, World
 
 _LOG = logging.getLogger("sim")
@@ -65,6 +66,8 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     world = World(mission, options.walked)
+    for appearance in {target.appearance for target in mission.targets}:
+        draw_sprites(appearance)  # half a second each, which no picture is to wait for
     model, seed = mission.camera.model, mission.simulation.seed
     async with contextlib.AsyncExitStack() as stack:
         simulated: Follower | MockFlight
@@ -83,6 +86,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
             truth.write,
             simulated.faults.active,
             Rectifier.of_mission(mission),
+            mission.simulation,
         )
         if isinstance(simulated, Follower):
             vehicle = simulated.run(camera)

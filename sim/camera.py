@@ -13,15 +13,17 @@ from typing import Self
 import cv2
 import numpy as np
 
+from dronemon.mission.schema import Simulation
 from dronemon.types import CameraModel, ImageArray
 from dronemon.vision.lens import Rectifier
+from sim.exposure import KIND
 from sim.renderer import Renderer
 from sim.scene import Scene, with_faults
 
 REQUEST = b"SHOT"
 ANSWER = struct.Struct("!4sdI")
 """Header of an answer: b"SHOT", vehicle time at capture in s, bytes of JPEG that follow."""
-JPEG_QUALITY = 95
+_FULL_COLOUR_QUALITY = 90
 MAX_CLIENTS = 8
 SEND_TIMEOUT_S = 5.0
 STOP_TIMEOUT_S = 5.0
@@ -34,7 +36,8 @@ class CameraServer:
     A client sends REQUEST and gets ANSWER and a JPEG. `silent` leaves requests unanswered, as a
     camera does that hangs.
 
-    faults: kinds that are active now -> value; lens: what its pictures pass through
+    faults: kinds that are active now -> value; lens: what its pictures pass through; simulation:
+    says how kind light, clouds, shutter and compression are
     """
 
     def __init__(
@@ -45,6 +48,7 @@ class CameraServer:
         on_capture: Callable[[Scene], None],
         faults: Mapping[str, float] = MappingProxyType({}),
         lens: Rectifier | None = None,
+        simulation: Simulation = KIND,
     ) -> None:
         self.silent = False
         self._camera = camera
@@ -54,6 +58,7 @@ class CameraServer:
         self._on_capture = on_capture
         self._faults = faults
         self._lens = lens
+        self._simulation = simulation
         self._last: bytes | None = None
         self._jpeg: bytes | None = None
         self._clients: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
@@ -66,7 +71,7 @@ class CameraServer:
 
     def _get_ready(self) -> None:
         """Make all that the first picture needs: the maps of a lens take seconds."""
-        self._renderer = Renderer(self._camera, self._seed)
+        self._renderer = Renderer(self._camera, self._seed, self._simulation)
         if self._lens is not None:
             size = self._camera.height_px, self._camera.width_px
             self._lens.as_seen(np.zeros((*size, 3), np.uint8))
@@ -132,13 +137,20 @@ class CameraServer:
         image = self._renderer.render(scene)
         if self._lens is not None:
             image = self._lens.as_seen(image)
-        return encode(np.zeros_like(image) if "blank" in self._faults else image)
+        shown = np.zeros_like(image) if "blank" in self._faults else image
+        return encode(shown, self._simulation.jpeg_quality)
 
 
-def encode(image: ImageArray) -> bytes:
-    """The picture as it goes over the wire: a JPEG without colour subsampling."""
-    full_colour = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
-    options = (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *full_colour)
+def encode(image: ImageArray, quality: int) -> bytes:
+    """The picture as it goes over the wire: a JPEG; below 90 its colours have half the detail."""
+    is_full = quality >= _FULL_COLOUR_QUALITY
+    colours = (
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444 if is_full else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420
+    )
+    options = (
+        *(cv2.IMWRITE_JPEG_QUALITY, quality),
+        *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, colours),
+    )
     is_encoded, jpeg = cv2.imencode(".jpg", image, options)
     assert is_encoded
     return jpeg.tobytes()

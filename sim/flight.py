@@ -103,11 +103,13 @@ class MockFlight:
 
     def scene(self) -> Scene:
         """What there is to see at this instant."""
-        pose, gimbal = self.autopilot.body.pose(self.autopilot.time_s), self.autopilot.gimbal
-        if gimbal is not None:
-            turned_rad = gimbal.camera_attitude_rad(pose.attitude_rad[2])
-            pose = replace(pose, attitude_rad=turned_rad)
-        return self._world.scene(pose, self._frame, self._time_s)
+        body, gimbal = self.autopilot.body, self.autopilot.gimbal
+        pose = body.pose(self.autopilot.time_s)
+        turn_rad_s = body.roll_rate, body.pitch_rate, body.yaw_rate
+        if gimbal is not None:  # it turns with the heading alone
+            camera_rad = gimbal.camera_attitude_rad(pose.attitude_rad[2])
+            pose, turn_rad_s = replace(pose, attitude_rad=camera_rad), (0.0, 0.0, body.yaw_rate)
+        return self._world.scene(pose, self._frame, self._time_s, turn_rad_s)
 
     async def open_links(
         self, remotes: list[tuple[str, int]], signing_key: bytes | None = None

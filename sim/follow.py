@@ -103,8 +103,9 @@ class Follower(asyncio.DatagramProtocol):
         assert self._home_ned_m is not None
         assert self._origin is not None
         frame = self._world.frame(self._home_ned_m, self._origin)
-        pose = self._pose()
-        return self._world.scene(pose, frame, pose.time_s)
+        pose, turning = self._pose(), self._attitude
+        turn_rad_s = turning.rollspeed, turning.pitchspeed, turning.yawspeed
+        return self._world.scene(pose, frame, pose.time_s, turn_rad_s)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """Take what the vehicle sends (asyncio's callback)."""

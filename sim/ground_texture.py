@@ -58,6 +58,15 @@ def draw_ground(seed: int) -> ImageArray:
     return np.asarray(cv2.merge([np.clip(plane, 0, 255).astype(np.uint8) for plane in image]))
 
 
+def draw_clouds(seed: int, darkness: float) -> ImageArray:
+    """One tile of the light that clouds let through, over the same ground; half of it is full.
+
+    -> (TILE_PX, TILE_PX) uint8
+    """
+    cover = _step(_field(np.random.default_rng((seed, 2)), slope=3.4), -0.1, 0.1)
+    return np.asarray(np.rint(255.0 * (1.0 - darkness * cover)), np.uint8)
+
+
 def pyramid(tile: ImageArray, num_levels: int) -> list[ImageArray]:
     """The tile at 1, 1/2, 1/4 ... of its resolution, for views from higher up."""
     levels = [tile]

@@ -12,15 +12,16 @@ import cv2
 import numpy as np
 
 from dronemon.frames import AreaFrame
-from dronemon.types import APPEARANCES, CameraModel, FloatArray, ImageArray, Pose
-from sim.ground_texture import TEXEL_M, TILE_M, draw_ground, pyramid
+from dronemon.mission.schema import Simulation
+from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
+from sim.exposure import KIND, Exposure, smear
+from sim.ground_texture import TEXEL_M, TILE_M, draw_clouds, draw_ground, pyramid
+from sim.painting import SPRITE_PX_PER_M
 from sim.scene import Animal, Scene
-from sim.sprites import NUM_PHASES, SPRITE_PX_PER_M, draw_sprites, stride_m
+from sim.sprites import draw_sprites, stride_m
 
 _SHADOW_PER_M = (0.45, 0.40)
 """Shadow of a pole one metre high, to the north and to the east."""
-_NOISE_STD = 2.5
-_BLUR_PX = 0.55
 _SKY = (226, 206, 178)
 _TAPE = (168, 196, 206)
 _MIN_HEIGHT_M = 0.2
@@ -30,15 +31,17 @@ _NEAREST = 0.05
 
 
 class Renderer:
-    """Draws pictures of scenes. The same seed and the same scene give the same picture."""
+    """Draws pictures of scenes. The same seed and the same scene give the same picture.
 
-    def __init__(self, camera: CameraModel, seed: int) -> None:
+    simulation: says how kind light, clouds and shutter are
+    """
+
+    def __init__(self, camera: CameraModel, seed: int, simulation: Simulation = KIND) -> None:
         self._camera = camera
+        self._shutter_s = simulation.exposure_s
+        self._exposure = Exposure(camera, seed, simulation)
+        self._clouds = draw_clouds(seed, simulation.shadow) if simulation.shadow else None
         self._tiles = pyramid(draw_ground(seed), 6)
-        self._sprites = {name: draw_sprites(name) for name in APPEARANCES}
-        shape = (camera.height_px + 64, camera.width_px + 64, 3)
-        noise = np.random.default_rng((seed, 1)).normal(128.0, _NOISE_STD, shape)
-        self._noise = np.rint(noise).astype(np.uint8)
 
     def render(self, scene: Scene) -> ImageArray:
         """The picture of a scene. -> (height, width, 3) uint8 BGR"""
@@ -47,12 +50,30 @@ class Renderer:
         _draw_tape(image, view, scene.frame)
         for animal in scene.animals:
             self._draw_animal(image, view, animal)
+        if self._clouds is not None:
+            light = self._draw_tile(view, self._clouds, 0)
+            image = np.asarray(cv2.multiply(image, cv2.merge([light] * 3), scale=1.0 / 255.0))
         _draw_sky(image, view)
-        return self._expose(image, scene.pose.time_s)
+        image = smear(image, self._end_from_start(scene))
+        return self._exposure.take(image, scene.pose.time_s)
+
+    def _end_from_start(self, scene: Scene) -> FloatArray:
+        """Where the ground of a picture is once the shutter closes, from where it was. -> (3, 3)"""
+        start, end = (
+            _View(self._camera, scene.pose_after(time_s), scene.frame.ground_down_m)
+            for time_s in (-0.5 * self._shutter_s, 0.5 * self._shutter_s)
+        )
+        flown = np.eye(3)  # of ground points, which are seen from the vehicle
+        flown[:2, 2] = np.subtract(start.north_east_m, end.north_east_m)
+        return end.homography(0.0) @ flown @ np.linalg.inv(start.homography(0.0))
 
     def _draw_ground(self, view: _View) -> ImageArray:
         level = math.log2(1.0 / (view.px_per_m * TEXEL_M))
         level = min(max(round(level), 0), len(self._tiles) - 1)
+        return self._draw_tile(view, self._tiles[level], level)
+
+    def _draw_tile(self, view: _View, tile: ImageArray, level: int) -> ImageArray:
+        """What a tile that covers all ground looks like. level: how often it was halved"""
         texels_per_m = 1.0 / (TEXEL_M * 2**level)
         north_m, east_m = view.north_east_m
         # Indices of the texture: columns run east, rows run south; whole tiles are left out.
@@ -64,7 +85,7 @@ class Renderer:
             ]
         )
         return _warp(
-            self._tiles[level],
+            tile,
             texture_from_ground @ np.linalg.inv(view.homography(0.0)),
             (self._camera.width_px, self._camera.height_px),
             cv2.BORDER_WRAP,
@@ -75,22 +96,15 @@ class Renderer:
         if not view.is_near(north_m, east_m):
             return
         phase = animal.walked_m / stride_m(animal.appearance) % 1.0
-        sprite = self._sprites[animal.appearance][int(phase * NUM_PHASES) % NUM_PHASES]
-        height_m = sprite.body_height_m
+        sprites = draw_sprites(animal.appearance)
+        sprite = sprites[int(phase * len(sprites)) % len(sprites)]
+        height_m = sprite.top_m
         shadow_m = (north_m + _SHADOW_PER_M[0] * height_m, east_m + _SHADOW_PER_M[1] * height_m)
         shadow_at, at = (*shadow_m, animal.heading_rad), (north_m, east_m, animal.heading_rad)
-        _stamp(image, view, sprite.body, at=shadow_at, height_m=0.0, is_shadow=True)
+        _stamp(image, view, sprite.upper, at=shadow_at, height_m=0.0, is_shadow=True)
         for fraction in (0.0, 0.35, 0.7):
-            _stamp(image, view, sprite.legs, at=at, height_m=fraction * height_m)
-        _stamp(image, view, sprite.body, at=at, height_m=height_m)
-
-    def _expose(self, image: ImageArray, time_s: float) -> ImageArray:
-        """Slight blur and sensor noise that differs from one instant to the next."""
-        row, column = np.random.default_rng(round(abs(time_s) * 1e6)).integers(0, 64, 2)
-        height, width = image.shape[:2]
-        noise = self._noise[row : row + height, column : column + width]
-        blurred = cv2.GaussianBlur(image, (3, 3), _BLUR_PX)
-        return np.asarray(cv2.addWeighted(blurred, 1.0, noise, 1.0, -128.0), np.uint8)
+            _stamp(image, view, sprite.lower, at=at, height_m=fraction * height_m)
+        _stamp(image, view, sprite.upper, at=at, height_m=height_m)
 
 
 class _View:

@@ -1,4 +1,4 @@
-"""What the simulated camera looks at: its pose and the animals, at one instant."""
+"""What the simulated camera looks at: its pose and the targets, at one instant."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from dataclasses import dataclass, replace
 
 from dronemon.frames import AreaFrame
 from dronemon.problem import SENSOR_RADIUS_AU
-from dronemon.types import Pose
+from dronemon.types import Pose, Vector3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Animal:
-    """One animal at one instant. `walked_m` moves its legs; `position_ned_m` is (north, east)."""
+    """One animal, or a person or vehicle, at one instant. `position_ned_m` is (north, east).
+
+    walked_m: moves its legs
+    """
 
     name: str
     appearance: str
@@ -30,6 +33,18 @@ class Scene:
     pose: Pose
     frame: AreaFrame
     animals: tuple[Animal, ...]
+    turn_rad_s: Vector3 = (0.0, 0.0, 0.0)
+    """Rates of the angles of the pose's attitude."""
+
+    def pose_after(self, time_s: float) -> Pose:
+        """The pose a little later, or earlier."""
+        at_m, way_m_s = self.pose.position_ned_m, self.pose.velocity_ned_m_s
+        north, east, down = (x + time_s * v for x, v in zip(at_m, way_m_s, strict=True))
+        angles = zip(self.pose.attitude_rad, self.turn_rad_s, strict=True)
+        roll, pitch, yaw = (x + time_s * rate for x, rate in angles)
+        return replace(
+            self.pose, position_ned_m=(north, east, down), attitude_rad=(roll, pitch, yaw)
+        )
 
 
 def with_faults(scene: Scene, faults: Mapping[str, float], rng: random.Random) -> Scene:

@@ -1,20 +1,23 @@
 """The animals of the simulated world: their shapes and coats from above.
 
 Lengths are those of real animals, in metres: x towards the nose, y to the right.
+DRAWN_SCALE enlarges all of them, since at 35 m height a real fox would be three pixels wide.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
-from dronemon.types import APPEARANCES, Vector3
+from dronemon.types import Vector3
+from sim.painting import NUM_PHASES, Canvas, Field, Layer
 
-Field = NDArray[np.floating]
-"""One value for every pixel of a drawing."""
+DRAWN_SCALE = 1.8
+"""Drawn length over real length, the same for every animal."""
 Coat = Callable[[Field, Field], Field]
 """Colour of the coat at x, y: (rows, columns) m each -> (rows, columns, 3) BGR, 0 to 1."""
 
@@ -27,6 +30,10 @@ _TAN = (0.30, 0.50, 0.72)
 _CHESTNUT = (0.09, 0.17, 0.36)
 _RUSSET = (0.10, 0.37, 0.88)
 _TIGER = (0.12, 0.50, 0.96)
+_HORN = (0.42, 0.60, 0.72)
+_ANTLERS_M = 0.45
+_TRUNK_HEIGHT = 0.65
+"""Height of the plane that the trunk is drawn in, over the height of the back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +66,78 @@ class Species:
         """From the centre to the nose or the tip of the tail, whichever is further."""
         rump_m, nose_m = self.outline_x_m[0], self.outline_x_m[-1]
         return max(nose_m - self.centre_x_m, self.centre_x_m - rump_m + self.tail[0])
+
+    @property
+    def half_breadth_m(self) -> float:
+        """Of the trunk, the legs or the antlers, whichever are wider."""
+        antlers_m = _ANTLERS_M if self.has_antlers else 0.0
+        return max(*self.half_width_m, self.legs[2] + 0.1, antlers_m)
+
+    @property
+    def scale(self) -> float:
+        """Drawn length over real length."""
+        return DRAWN_SCALE
+
+    @property
+    def top_m(self) -> float:
+        """Height of the plane that the trunk is drawn in."""
+        return _TRUNK_HEIGHT * self.back_height_m
+
+    @property
+    def num_phases(self) -> int:
+        """Pictures of one stride."""
+        return NUM_PHASES
+
+    def paint(self, canvas: Canvas, phase: float) -> tuple[Layer, Layer]:
+        """Legs, and all above them, in one phase of a stride."""
+        swing = math.sin(2.0 * math.pi * phase)
+        legs, body = Layer(canvas), Layer(canvas)
+        _draw_legs(legs, self, canvas, phase)
+
+        # The spine bends from side to side by a few centimetres with the stride.
+        y = canvas.y - 0.02 * swing * np.sin(3.0 * canvas.x)
+        _draw_tail(body, self, canvas, swing)
+        x_m = np.array(self.outline_x_m)
+        outline = PchipInterpolator(x_m, self.half_width_m)
+        half_width = outline(np.clip(canvas.x, x_m[0], x_m[-1]))
+        ends = np.minimum(canvas.x - x_m[0], x_m[-1] - canvas.x)
+        roundness = np.clip(1.0 - (y / np.maximum(half_width, 1e-3)) ** 2, 0.0, 1.0)
+        shade = (0.72 + 0.30 * np.sqrt(roundness))[..., None]
+        colour = np.clip(self.coat(canvas.x, y) * shade, 0.0, 1.0)
+        body.paint(canvas.inside(np.minimum(half_width - np.abs(y), ends)), colour)
+
+        ear_x, ear_y, ear_radius, ear_colour = self.ears
+        for side in (-1.0, 1.0):
+            body.paint(canvas.disc(ear_x, side * ear_y, ear_radius), ear_colour)
+            if self.has_antlers:
+                _draw_antler(body, canvas, ear_x, side)
+        return legs, body
+
+
+def _draw_legs(layer: Layer, species: Species, canvas: Canvas, phase: float) -> None:
+    """Four legs in the order of a walk: each a quarter of a stride after the one before."""
+    hind_x, fore_x, half_distance, radius, colour = species.legs
+    reach = 0.25 * species.stride_m
+    walk = ((hind_x, -1), (fore_x, -1), (hind_x, 1), (fore_x, 1))
+    for quarter, (x, side) in enumerate(walk):
+        foot = x + reach * math.sin(2.0 * math.pi * (phase - 0.25 * quarter))
+        y = side * half_distance
+        layer.paint(canvas.capsule((x, 0.8 * y), (foot, y), radius), colour)
+
+
+def _draw_tail(layer: Layer, species: Species, canvas: Canvas, swing: float) -> None:
+    rump_m, (length, radius, root, tip) = species.outline_x_m[0], species.tail
+    middle = (rump_m - 0.65 * length, 0.10 * length * swing)
+    end = (rump_m - length, -0.18 * length * swing)
+    layer.paint(canvas.capsule((rump_m + 0.05, 0.0), middle, radius), root)
+    layer.paint(canvas.capsule(middle, end, radius), tip)
+
+
+def _draw_antler(layer: Layer, canvas: Canvas, x: float, side: float) -> None:
+    beam = (x - 0.20, side * 0.34)
+    layer.paint(canvas.capsule((x, side * 0.08), beam, 0.025), _HORN)
+    layer.paint(canvas.capsule(beam, (x + 0.08, side * 0.42), 0.025), _HORN)
+    layer.paint(canvas.capsule((x - 0.1, side * 0.2), (x + 0.1, side * 0.26), 0.02), _HORN)
 
 
 def _plain(x: Field, colour: Vector3) -> Field:
@@ -206,4 +285,3 @@ SPECIES: dict[str, Species] = {
         ears=(0.98, 0.09, 0.05, _BLACK),
     ),
 }
-assert set(SPECIES) == set(APPEARANCES)

@@ -62,7 +62,13 @@ class World:
             cruise_speed_m_s=self._mission.flight.cruise_speed_m_s,
         )
 
-    def scene(self, pose: Pose, frame: AreaFrame, now_s: float) -> Scene:
+    def scene(
+        self,
+        pose: Pose,
+        frame: AreaFrame,
+        now_s: float,
+        turn_rad_s: Vector3 = (0.0, 0.0, 0.0),
+    ) -> Scene:
         """What a camera at `pose` takes a picture of; time that goes back does not count."""
         if self._pictured_s is not None:
             self._walking_s += max(now_s - self._pictured_s, 0.0)
@@ -81,7 +87,7 @@ class World:
             )
             for target, place, heading in zip(self._mission.targets, places, headings, strict=True)
         )
-        return Scene(pose=pose, frame=frame, animals=animals)
+        return Scene(pose=pose, frame=frame, animals=animals, turn_rad_s=turn_rad_s)
 
 
 def home_place(mission: Mission) -> GeoPoint:

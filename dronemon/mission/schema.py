@@ -212,7 +212,7 @@ class Target(Section):
         min_length=1,
         max_length=80,
         description="What the detector knows it by: "
-        f"{', '.join(APPEARANCES)} for the simulator's animals, else a class of the network, the "
+        f"{', '.join(APPEARANCES)} of the simulator, else a class of the network, the "
         "number of a marker, or any word for a blob. Several may have the same.",
     )
     count: int = Field(1, ge=1, le=MAX_TARGETS)
@@ -302,6 +302,14 @@ class Simulation(Section):
     """Where it comes from, clockwise from north."""
     position_noise_m: float = Field(0.15, ge=0.0, le=5.0)
     """Error of the estimated position, one sigma per axis."""
+    exposure_s: float = Field(0.0, ge=0.0, le=0.1)
+    """How long the camera's shutter is open, while the drone's motion blurs the picture."""
+    light: float = Field(1.0, ge=0.01, le=1.0)
+    """Share of full daylight; down to 1/16 the camera amplifies it, and its noise."""
+    shadow: float = Field(0.0, ge=0.0, le=0.9)
+    """How much darker it is under clouds, which shade half of the ground."""
+    jpeg_quality: int = Field(95, ge=5, le=100)
+    """Of the camera's pictures; below 90 colours have half the resolution."""
     faults: Annotated[tuple[str, ...], Field(strict=False)] = Field((), max_length=100)
     """Things to go wrong: KIND[=VALUE][@SECONDS after arming][+DURATION]."""
 

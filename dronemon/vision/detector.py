@@ -10,12 +10,6 @@ import numpy as np
 from dronemon.errors import CameraError, blaming
 from dronemon.types import Detection, ImageArray, Pose
 
-DRAWN_NEEDS_PX_PER_M = 5.5
-"""Size on the picture of a metre on the ground below which the drawn animals are too often missed.
-
-Of animals in the footprint 100 % are found at 6, 97 % at 5.5, 91 % at 5, 79 % at 4.5: `python
-benchmarks/vision.py --height-m H`, where the default camera has 320 / H.
-"""
 _MOST_FINDS = 1000
 
 

@@ -1,8 +1,8 @@
-"""Finds and names the animals in a picture, with colours and shapes only.
+"""Finds and names the drawn targets in a picture, with colours and shapes only.
 
-Every pixel is looked up in a table of coat and ground colours. Connected coat pixels of an animal's
-size become candidates; each is cut out once more as a patch of ground of constant scale, so that
-its traits do not depend on height and tilt, and named after the prototype that they fit best.
+Every pixel is looked up in a table of coat and ground colours. Connected coat pixels of a target's
+size become candidates; each is cut out once more as a patch of ground of one of three scales, so
+that its traits do not depend on height and tilt, and named after the prototype that they fit best.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
 from dronemon.vision.prototypes import (
     COAT_COLOURS,
     COAT_SHADES,
-    ENLARGEMENT,
     GROUND_COLOURS,
     GROUND_SHADES,
     PROTOTYPES,
@@ -29,15 +28,21 @@ from dronemon.vision.prototypes import (
 )
 
 _PATCH_PX = 64
-_PATCH_PX_PER_M = 8.0
-_PATCH_HEIGHT_M = 0.45 * ENLARGEMENT
+_PATCH_REACHES_M = (1.2, 4.0, 9.0)
+"""From a patch's centre to its edges, for people, for animals and cars, and for what is longer."""
+_PATCH_SHARE = 0.85
+"""What may be seen of a target's length and width, over the patch that it is shown in."""
+_PATCH_HEIGHT_M = 0.81
 """Height of the plane that patches are cut from: between the feet and the back of most animals."""
-_MIN_PX_PER_M = 4.0
-_MIN_AREA_M2 = 0.07 * ENLARGEMENT**2
+_LEAST, _ENOUGH = 0.73, 1.45
+"""Detail at which a candidate is too far away to tell, over what the largest target watched needs;
+and detail that pictures are shrunk to, over what the smallest one needs."""
+_MIN_AREA = 0.2
+"""Least area of a candidate, over that of the smallest target watched."""
 _MAX_CANDIDATES = 64
 _MIN_HEIGHT_M = 2.0
-_MISFIT_LIMIT = 5.0
-"""Mean squared deviation from a prototype, in spreads, at which it is as likely no animal."""
+_MISFIT_LIMIT, _MISFIT_SLOPE = 40.0, 8.0
+"""Squared deviation, in spreads, at which it is as likely none of them, and how sharply so."""
 _FAINT = 60.0
 """Contrast below which a coat counts as plain."""
 _GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -45,10 +50,10 @@ _GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """Something with the colours and about the size of an animal.
+    """Something with the colours of a target, and not too small for one.
 
     centre_px: (2,) u, v of the centre of its area
-    traits:    (8,) as in Prototype
+    traits:    as in Prototype
     """
 
     centre_px: FloatArray
@@ -56,9 +61,9 @@ class Candidate:
 
 
 class DrawnDetector:
-    """Names the drawn animals of some appearances in pictures of one camera; a `Detector`.
+    """Names the drawn targets of some appearances in pictures of one camera; a `Detector`.
 
-    All known animals compete for a candidate, so that one which nobody watches is not taken for
+    All known ones compete for a candidate, so that one which nobody watches is not taken for
     another.
     """
 
@@ -72,10 +77,15 @@ class DrawnDetector:
         self._names = tuple(PROTOTYPES)
         self._traits = np.stack([prototype.traits for prototype in PROTOTYPES.values()])
         self._spreads = np.stack([prototype.spreads for prototype in PROTOTYPES.values()])
+        watched = [PROTOTYPES[appearance] for appearance in self._appearances]
+        self._least_area_m2 = _MIN_AREA * min(prototype.area_m2 for prototype in watched)
+        needed_px_per_m = [prototype.needed_px_per_m for prototype in watched]
+        self._least_px_per_m = _LEAST * min(needed_px_per_m)
+        self._enough_px_per_m = _ENOUGH * max(needed_px_per_m)
         self._colour_table = _colour_table()
 
     def detect(self, image: ImageArray, pose: Pose, ground_down_m: float) -> tuple[Detection, ...]:
-        """The animals that are wholly in a picture.
+        """The targets that are wholly in a picture.
 
         image: (height, width, 3) uint8 BGR
         """
@@ -88,23 +98,24 @@ class DrawnDetector:
         return tuple(detections)
 
     def candidates(self, image: ImageArray, pose: Pose, ground_down_m: float) -> list[Candidate]:
-        """Whatever may be an animal, not named yet; for `detect` and to measure new prototypes."""
+        """Whatever may be a target, not named yet; for `detect` and to measure new prototypes."""
         height_m = ground_down_m - pose.position_ned_m[2]
         if height_m < _MIN_HEIGHT_M:
             return []
         px_per_m = self._camera.focal_px / height_m
-        shrink = max(1, int(px_per_m / _PATCH_PX_PER_M))
+        shrink = max(1, int(px_per_m / self._enough_px_per_m))
         if shrink > 1:
             size = (self._camera.width_px // shrink, self._camera.height_px // shrink)
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         scale = np.array(image.shape[1::-1]) / (self._camera.width_px, self._camera.height_px)
 
         found = []
-        for spot in self._spots(image, _MIN_AREA_M2 * (px_per_m / shrink) ** 2):
-            corners_px = self._patch_corners(spot / scale, pose, ground_down_m)
+        for spot, extent_m in self._spots(image, px_per_m / shrink):
+            reach_m = _patch_reach_m(extent_m)
+            corners_px = self._patch_corners(spot / scale, reach_m, pose, ground_down_m)
             if not np.isfinite(corners_px).all():
                 continue
-            if _size(corners_px) * _PATCH_PX_PER_M < _MIN_PX_PER_M * _PATCH_PX:
+            if _size(corners_px) < self._least_px_per_m * 2.0 * reach_m:
                 continue  # too far away to tell
             patch_from_image = _square_from(corners_px * scale)
             patch = cv2.warpPerspective(
@@ -114,7 +125,7 @@ class DrawnDetector:
                 flags=cv2.INTER_LINEAR,
                 borderValue=GROUND_COLOURS["meadow"],
             )
-            shape = self._largest_near_centre(np.asarray(patch, np.uint8))
+            shape = self._largest_near_centre(np.asarray(patch, np.uint8), reach_m)
             if shape is not None:
                 centre, traits = shape
                 image_from_patch = np.asarray(np.linalg.inv(patch_from_image), np.float64)
@@ -122,16 +133,17 @@ class DrawnDetector:
                 found.append(Candidate(centre_px=centre_px, traits=traits))
         return found
 
-    def _spots(self, image: ImageArray, min_area_px: float) -> list[FloatArray]:
-        """Centres (u, v) of connected areas of coat colours clear of the picture's edge."""
+    def _spots(self, image: ImageArray, px_per_m: float) -> list[tuple[FloatArray, float]]:
+        """Centre (u, v) and extent in m of connected coat colours clear of the picture's edge."""
         coat = cv2.morphologyEx((self._coat(image) > 0).astype(np.uint8), cv2.MORPH_CLOSE, _GAP)
         num, _, stats, centres = cv2.connectedComponentsWithStats(coat, connectivity=8)
         left, top, width, height, area = stats[1:num].T
         is_whole = (left > 0) & (top > 0)
         is_whole &= (left + width < image.shape[1]) & (top + height < image.shape[0])
-        chosen = np.flatnonzero(is_whole & (area >= min_area_px)) + 1
+        chosen = np.flatnonzero(is_whole & (area >= self._least_area_m2 * px_per_m**2)) + 1
         chosen = chosen[np.argsort(-stats[chosen, cv2.CC_STAT_AREA])][:_MAX_CANDIDATES]
-        return [centres[i] + 0.5 for i in chosen]
+        extent_m = np.maximum(width, height) / px_per_m
+        return [(centres[i] + 0.5, float(extent_m[i - 1])) for i in chosen]
 
     def _coat(self, image: ImageArray) -> NDArray[np.uint8]:
         """Every pixel's coat: 0 for ground, or 1 + its place in COAT_COLOURS. -> (height, width)"""
@@ -139,25 +151,30 @@ class DrawnDetector:
         coat: NDArray[np.uint8] = self._colour_table[blue << 10 | green << 5 | red]
         return coat
 
-    def _patch_corners(self, centre_px: FloatArray, pose: Pose, ground_down_m: float) -> FloatArray:
+    def _patch_corners(
+        self, centre_px: FloatArray, reach_m: float, pose: Pose, ground_down_m: float
+    ) -> FloatArray:
         """Pixels of the north-west, north-east, south-east and south-west corner. -> (4, 2)"""
         down_m = ground_down_m - _PATCH_HEIGHT_M
         centre_m = pixel_to_ground(centre_px, self._camera, pose, down_m)
-        reach_m = 0.5 * _PATCH_PX / _PATCH_PX_PER_M
         corners_m = centre_m + reach_m * np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]])
         return ground_to_pixel(corners_m, self._camera, pose, down_m)
 
-    def _largest_near_centre(self, patch: ImageArray) -> tuple[FloatArray, FloatArray] | None:
-        """Centre (2,) in the patch and traits of the animal that the patch was cut around."""
+    def _largest_near_centre(
+        self, patch: ImageArray, reach_m: float
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Centre (2,) in the patch and traits of the target that the patch was cut around."""
+        px_per_m = 0.5 * _PATCH_PX / reach_m
         coat = self._coat(patch)
         mask = cv2.morphologyEx((coat > 0).astype(np.uint8), cv2.MORPH_CLOSE, _GAP)
         num, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         is_near = np.abs(centres[1:num] - _PATCH_PX / 2.0).max(axis=1) < _PATCH_PX / 5.0
         area = stats[1:num, cv2.CC_STAT_AREA] * is_near
-        if area.max(initial=0) < _MIN_AREA_M2 * _PATCH_PX_PER_M**2:
+        if area.max(initial=0) < self._least_area_m2 * px_per_m**2:
             return None
         rows, columns = np.nonzero(labels == 1 + int(area.argmax()))
-        traits = _traits(rows, columns, coat[rows, columns], patch[rows, columns].mean(axis=1))
+        light = patch[rows, columns].mean(axis=1)
+        traits = _traits(np.stack([columns, rows]), coat[rows, columns], light, px_per_m)
         return np.array([columns.mean() + 0.5, rows.mean() + 0.5]), traits
 
     def _name(self, traits: FloatArray) -> tuple[str, float]:
@@ -166,32 +183,41 @@ class DrawnDetector:
         log_fit = -0.5 * (deviation**2).sum(axis=1) - np.log(self._spreads).sum(axis=1)
         best = int(log_fit.argmax())
         share = 1.0 / np.exp(log_fit - log_fit[best]).sum()
-        misfit = (deviation[best] ** 2).mean()
-        is_animal = 0.5 * (1.0 - np.tanh(0.5 * (misfit - _MISFIT_LIMIT)))
-        return self._names[best], float(share * is_animal)
+        misfit = (deviation[best] ** 2).sum()
+        is_target = 0.5 * (1.0 - np.tanh(0.5 * (misfit - _MISFIT_LIMIT) / _MISFIT_SLOPE))
+        return self._names[best], float(share * is_target)
 
     def _below_trunk(
         self, centre_px: FloatArray, appearance: str, pose: Pose, ground_down_m: float
     ) -> tuple[float, float]:
         """Pixel of the ground under a trunk that is seen at a pixel."""
-        trunk_down_m = ground_down_m - PROTOTYPES[appearance].trunk_height_m * ENLARGEMENT
+        trunk_down_m = ground_down_m - PROTOTYPES[appearance].height_m
         at_m = pixel_to_ground(centre_px, self._camera, pose, trunk_down_m)
         u, v = ground_to_pixel(at_m, self._camera, pose, ground_down_m)
         return float(u), float(v)
 
 
+def _patch_reach_m(extent_m: float) -> float:
+    """From the centre to the edges of the smallest patch that shows something whole."""
+    fitting = (reach_m for reach_m in _PATCH_REACHES_M if extent_m < 2.0 * _PATCH_SHARE * reach_m)
+    return next(fitting, _PATCH_REACHES_M[-1])
+
+
 def _traits(
-    rows: NDArray[np.intp], columns: NDArray[np.intp], coat: NDArray[np.uint8], light: FloatArray
+    points_px: NDArray[np.intp], coat: NDArray[np.uint8], light: FloatArray, px_per_m: float
 ) -> FloatArray:
-    """Traits of the pixels of one animal, in the order of Prototype.traits. -> (8,)"""
-    points_m = np.stack([columns - columns.mean(), rows - rows.mean()]) / _PATCH_PX_PER_M
-    variances, axes = np.linalg.eigh(points_m @ points_m.T / rows.size)
+    """Traits of the pixels of one target, in the order of Prototype.traits.
+
+    points_px: (2, n) of a patch; coat, light: (n,)
+    """
+    points_m = (points_px - points_px.mean(axis=1, keepdims=True)) / px_per_m
+    variances, axes = np.linalg.eigh(points_m @ points_m.T / light.size)
     width_m, length_m = 4.0 * np.sqrt(np.maximum(variances, 1e-6))
     across_m, along_m = axes.T @ points_m
     counts = np.bincount(coat, minlength=1 + len(COAT_COLOURS))[1:]
 
     spine = np.abs(across_m) < 0.3 * width_m
-    bins = np.rint((along_m[spine] - along_m.min()) * 0.85 * _PATCH_PX_PER_M).astype(np.intp)
+    bins = np.rint((along_m[spine] - along_m.min()) * 0.85 * px_per_m).astype(np.intp)
     num = np.bincount(bins)
     profile = np.bincount(bins, light[spine])[num > 0] / num[num > 0]
     bands = np.abs(np.diff(profile)).sum() / max(np.ptp(profile), _FAINT)

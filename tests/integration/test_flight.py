@@ -145,6 +145,35 @@ def test_a_flight_at_the_edge_of_the_map(
     assert len(flight.lines("observations")) == 10
 
 
+def _errors_m(flight: Flight, side_m: float) -> list[float]:
+    """How far each sighting is from where its target was."""
+    truth = {round(t["time_s"], 6): t["targets_au"] for t in flight.lines("truth")}
+    return [
+        side_m * max(abs(a - b) for a, b in zip(target["position_au"], true_au, strict=True))
+        for line in flight.lines("observations")
+        for target, true_au in zip(
+            line["targets"].values(), truth[round(line["time_s"], 6)], strict=True
+        )
+        if target["seen"]
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mission", "side_m"), [("people", 250.0), ("vehicles", 350.0)])
+def test_people_and_vehicles_are_watched_to_the_end(
+    fly: Callable[..., Flight], mission: str, side_m: float
+):
+    flight = fly("--mission", mission, "--horizon-au", "2", "--speed-up", "10")
+    code, output = flight.finish()
+    assert code == 0, output
+    summary = flight.summary()
+    assert (summary["outcome"], summary["is_landed"]) == ("completed", True)
+    assert summary["pictures"] == summary["pictures_due"] == 20
+    errors_m = _errors_m(flight, side_m)
+    assert len(errors_m) >= 2
+    assert max(errors_m) < 4.0
+
+
 GIMBAL = """
 camera: {gimbal: true}
 simulation: {seed: 3, faults: ["askew=8@15"]}
@@ -167,15 +196,7 @@ def test_observations_are_where_the_animals_are(
     flight = fly("--mission", name, "--planner", "tsp", "--horizon-au", "2", "--seed", "3")
     assert flight.finish()[0] == 0
     assert len(flight.lines("observations")) == 20
-    truth = {round(t["time_s"], 6): t["targets_au"] for t in flight.lines("truth")}
-    errors_m = [
-        200.0 * max(abs(a - b) for a, b in zip(target["position_au"], true_au, strict=True))
-        for line in flight.lines("observations")
-        for target, true_au in zip(
-            line["targets"].values(), truth[round(line["time_s"], 6)], strict=True
-        )
-        if target["seen"]
-    ]
+    errors_m = _errors_m(flight, 200.0)
     assert len(errors_m) >= 3
     assert max(errors_m) < 3.0
     assert sorted(errors_m)[len(errors_m) // 2] < 1.0

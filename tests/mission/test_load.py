@@ -28,6 +28,30 @@ def _error(tmp_path: Path, text: str) -> str:
     return str(caught.value).removeprefix(str(path))
 
 
+@pytest.mark.parametrize("name", sorted(shipped_missions()))
+def test_every_shipped_mission_can_be_flown(name: str):
+    load_checked(name, {}, None)
+
+
+@pytest.mark.parametrize(
+    ("appearance", "altitude_m", "needed"),
+    [("car-red", 100, None), ("fox", 50, None), ("fox", 60, "5.5"), ("person-red", 50, "9")],
+)
+def test_who_is_small_is_looked_at_from_lower(
+    tmp_path: Path, appearance: str, altitude_m: float, needed: str | None
+):
+    path = tmp_path / "m.yaml"
+    path.write_text(
+        f"area: {{side_m: 100}}\nflight: {{altitude_m: {altitude_m}}}\n"
+        f"targets: [{{name: one, appearance: {appearance}}}, {{name: bus, appearance: bus-red}}]\n"
+    )
+    if needed is None:
+        load_checked(str(path), {}, None)
+    else:
+        with pytest.raises(MissionFileError, match=f"too high: .* detector needs {needed} to"):
+            load_checked(str(path), {}, None)
+
+
 def test_animals_is_the_papers_experiment():
     mission = load_mission(find_mission("animals")).mission
     assert mission.area.side_m == 200

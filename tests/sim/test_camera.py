@@ -170,13 +170,14 @@ def test_animals_are_drawn_at_their_size(renderer, appearance):
     scene = scene_of(animal_at(0.0, 0.0, appearance), height_m=10.0)
     bare = renderer.render(replace(scene, animals=())).astype(int)
     change = renderer.render(scene).astype(int) - bare
-    # A shadow is the ground, darker: what is not proportional to the ground is the animal.
+    # A shadow is the ground at half its light: what is not so, or darker, is the animal.
     is_animal = np.abs(change - bare * (change / bare).mean(-1, keepdims=True)).max(-1) > 25
-    rows = np.nonzero(is_animal.any(axis=1))[0]
-    length_m, _, height_m = drawn_size_m(appearance)
-    seen_m = np.ptp(rows) * (10.0 - height_m) / CAMERA.focal_px
-    assert 0.55 * length_m < seen_m < 1.15 * length_m
-    assert 1.0 < length_m < 8.0
+    is_animal |= (change < -0.65 * bare).all(axis=-1)
+    length_m, width_m, height_m = drawn_size_m(appearance)
+    seen_m = max(np.ptp(pixels) for pixels in np.nonzero(is_animal))
+    seen_m *= (10.0 - height_m) / CAMERA.focal_px
+    assert 0.55 * length_m < seen_m < 1.15 * max(length_m, width_m)
+    assert 0.5 < length_m < 13.0
 
 
 @pytest.mark.parametrize("attitude", [(0.0, 1.2, 0.0), (-2.0, 0.4, 1.0), (math.pi, 0.0, 0.0)])

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from dronemon.frames import AreaFrame, pixel_to_ground
-from dronemon.types import APPEARANCES, CameraModel, Pose
+from dronemon.types import ANIMALS, APPEARANCES, PEOPLE, VEHICLES, CameraModel, Pose
 from dronemon.vision.drawn import DrawnDetector
-from dronemon.vision.prototypes import ENLARGEMENT
+from dronemon.vision.prototypes import PROTOTYPES
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
-from sim.sprites import DRAWN_SCALE
+from sim.sprites import drawn_size_m
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 GROUND_DOWN_M = -2.5
@@ -26,7 +26,7 @@ def renderer():
 
 @pytest.fixture(scope="module")
 def detector():
-    return DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
+    return DrawnDetector(ANIMALS, CAMERA, min_score=0.5)
 
 
 def scene_of(*animals, attitude=(0.0, 0.0, 0.0), height_m=35.0):
@@ -68,8 +68,9 @@ def detect(detector, renderer, scene):
 
 @pytest.mark.parametrize("appearance", APPEARANCES)
 @pytest.mark.parametrize("heading_rad", [0.2, 1.9, -2.5])
-def test_each_animal_is_named_and_located(detector, renderer, appearance, heading_rad):
-    scene = scene_of(animal_at(appearance, -7.0, 11.0, heading_rad), height_m=38.0)
+def test_each_appearance_is_named_and_located(renderer, appearance, heading_rad):
+    detector = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
+    scene = scene_of(animal_at(appearance, -7.0, 11.0, heading_rad), height_m=33.0)
     found = detect(detector, renderer, scene)
     assert list(found) == [appearance]
     assert found[appearance] == pytest.approx((-7.0, 11.0), abs=0.6)
@@ -99,17 +100,33 @@ def test_places_are_right_under_any_attitude(detector, renderer, attitude):
 
 def test_whole_herd_is_found_at_once(detector, renderer):
     places = {
-        name: (14.0 * math.cos(0.8 * i), 14.0 * math.sin(0.8 * i))
-        for i, name in enumerate(APPEARANCES)
+        name: (14.0 * math.cos(0.8 * i), 14.0 * math.sin(0.8 * i)) for i, name in enumerate(ANIMALS)
     }
     animals = [animal_at(name, *at, heading_rad=at[0]) for name, at in places.items()]
-    assert detect(detector, renderer, scene_of(*animals)).keys() == set(APPEARANCES)
+    assert detect(detector, renderer, scene_of(*animals)).keys() == set(ANIMALS)
+
+
+@pytest.mark.parametrize("appearances", [PEOPLE, VEHICLES])
+def test_people_and_vehicles_are_told_apart_where_the_picture_has_the_detail(appearances):
+    """Each in a row, from the greatest height that they are said to be found at."""
+    needed_px_per_m = max(PROTOTYPES[name].needed_px_per_m for name in appearances)
+    height_m = CAMERA.focal_px / needed_px_per_m
+    spots = [(-0.5 + (i // 4) / 2.0, -0.6 + 0.4 * (i % 4)) for i in range(len(appearances))]
+    animals = [
+        animal_at(name, 0.5 * height_m * north, 0.9 * height_m * east, heading_rad=0.8 * i)
+        for i, (name, (north, east)) in enumerate(zip(appearances, spots, strict=True))
+    ]
+    scene = scene_of(*animals, height_m=height_m)
+    detector = DrawnDetector(appearances, CAMERA, min_score=0.5)
+    assert detect(detector, Renderer(CAMERA, 10_301), scene).keys() == set(appearances)
 
 
 def test_empty_ground_shows_nothing(detector, renderer):
+    everything = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
     for i in range(12):
         scene = scene_of(attitude=(0.1 * i - 0.4, 0.05, 0.8 * i), height_m=20.0 + 6.0 * i)
         assert detect(detector, renderer, scene) == {}
+        assert detect(everything, renderer, scene) == {}
 
 
 def test_animal_that_nobody_watches_is_not_taken_for_another(renderer):
@@ -149,7 +166,7 @@ def test_random_flights_are_seen_almost_without_fault(detector, renderer):
     rng = np.random.default_rng(10_304)
     num_right, num_wrong, num_pictures = 0, 0, 60
     for i in range(num_pictures):
-        name = APPEARANCES[i % len(APPEARANCES)]
+        name = ANIMALS[i % len(ANIMALS)]
         tilt_rad, towards = rng.uniform(0.0, 0.26), rng.uniform(0.0, math.tau)
         scene = scene_of(
             animal_at(name, *rng.uniform(-11.0, 11.0, 2), rng.uniform(0.0, math.tau)),
@@ -183,5 +200,10 @@ def test_unknown_appearance_is_an_error():
         DrawnDetector(["cow", "unicorn"], CAMERA, 0.5)
 
 
-def test_both_sides_mean_the_same_size():
-    assert ENLARGEMENT == DRAWN_SCALE
+@pytest.mark.parametrize("appearance", APPEARANCES)
+def test_both_sides_mean_the_same_size(appearance):
+    length_m, _, height_m = drawn_size_m(appearance)
+    prototype = PROTOTYPES[appearance]
+    assert prototype.height_m == pytest.approx(height_m, abs=0.01)
+    # Four standard deviations: less than all with a thin tail, more for what ends bluntly.
+    assert 0.6 * length_m < prototype.length_m < 1.3 * length_m
