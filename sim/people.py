@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from dronemon.types import Vector3
 from sim.painting import NUM_PHASES, Canvas, Layer
 
@@ -37,7 +39,7 @@ class Person:
         """Legs, and all above them, in one phase of a stride."""
         swing_m = _REACH_M * math.sin(2.0 * math.pi * phase)
         legs, body = Layer(canvas), Layer(canvas)
-        sleeve = tuple(_SHADED * part for part in self.jacket)
+        sleeve = _SHADED * np.array(self.jacket)
         for side in (-1.0, 1.0):
             hip, foot = (0.0, 0.09 * side), (side * swing_m + 1e-3, 0.09 * side)
             legs.paint(canvas.capsule(hip, foot, _LEG_M), _TROUSERS)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from dronemon.types import Vector3
 from sim.painting import Canvas, Layer
 
@@ -47,7 +49,7 @@ class Vehicle:
         ends = (-self.half_length_m, self.half_length_m)
         hull = canvas.box(ends, self.half_breadth_m, 0.25)
         sides, roof = Layer(canvas), Layer(canvas)
-        sides.paint(hull, tuple(_SIDES * part for part in self.colour))
+        sides.paint(hull, _SIDES * np.array(self.colour))
         roof.paint(hull, self.colour)
         for low_m, high_m, half_width_m in self.glass:
             roof.paint(canvas.box((low_m, high_m), half_width_m, 0.1), _GLASS)
