@@ -1,4 +1,4 @@
-"""How a mission becomes objects: planner, simulator, link, camera, view; and a flight with them."""
+"""How a mission becomes a flight: planner, simulator, link, camera, view, and what is flown."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import hashlib
 import signal
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,14 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from dronemon.camera import (
-    CropKeeper,
-    FrameSource,
-    RectifiedCamera,
-    SimulatedCamera,
-    VideoCamera,
-)
+from dronemon.camera import CropKeeper
 from dronemon.card import find_checkpoint
+from dronemon.connections import make_camera, make_link
 from dronemon.errors import DronemonError, LinkTimeout, VehicleError
 from dronemon.events import AreaLaid, Audience, TruthTold, Watcher
 from dronemon.export.live import Pack, SightingSender, cot_pack, station_pack
@@ -49,7 +44,6 @@ from dronemon.terminal import FlightDisplay, console, print_error, print_warning
 from dronemon.types import FloatArray
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.vision.detector import Detector
-from dronemon.vision.lens import Rectifier
 from dronemon.vision.registry import make_detector
 from dronemon.viz import FlightView
 
@@ -247,18 +241,6 @@ async def assemble_and_inspect(
         return await inspect_vehicle(setup, tell, show)
 
 
-@contextlib.asynccontextmanager
-async def watching(mission: Mission) -> AsyncIterator[tuple[MavsdkLink, FrameSource]]:
-    """Link to a real vehicle and its camera, as it sees; nothing is commanded.
-
-    Raises VehicleError, CameraError.
-    """
-    async with _link(mission, None) as link:
-        await link.next_pose()
-        async with _raw_camera(mission, None, link) as camera:
-            yield link, camera
-
-
 def _existing(path: Path) -> Path:
     """The folder itself, or the one that it would be made in."""
     return next(folder for folder in (path, *path.absolute().parents) if folder.is_dir())
@@ -289,7 +271,7 @@ class _Run:
         return FlightSetup(
             file=self.file,
             link=link,
-            camera=_camera(self.file.mission, self.sim, link),
+            camera=make_camera(self.file.mission, self.sim, link),
             detector=self.detector,
             planner=self.planner,
             priors_au=self._priors_au(),
@@ -303,7 +285,7 @@ class _Run:
 
     def link(self) -> MavsdkLink:
         """A new link to the vehicle."""
-        return _link(self.file.mission, self.sim)
+        return make_link(self.file.mission, self.sim)
 
     async def fly(self, *, is_resumed: bool) -> FlightResult:
         """Fly. A simulator that ends meanwhile is told at once, and its vehicle not waited for."""
@@ -404,31 +386,3 @@ async def _start(
         # The first failure cancelled the other.
         raise group_error.exceptions[0] from None
     return sim
-
-
-def _link(mission: Mission, sim: Simulator | None) -> MavsdkLink:
-    vehicle = mission.vehicle
-    url = sim.vehicle_url if sim and sim.vehicle_url else vehicle.url
-    return MavsdkLink(
-        url,
-        is_port_held=url != vehicle.url,
-        system_id=vehicle.system_id,
-        connect_timeout_s=vehicle.connect_timeout_s,
-        command_timeout_s=vehicle.command_timeout_s,
-        link_loss_timeout_s=vehicle.link_loss_timeout_s,
-    )
-
-
-def _camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameSource:
-    source, rectifier = _raw_camera(mission, sim, link), Rectifier.of_mission(mission)
-    model = mission.camera.model
-    return source if rectifier is None else RectifiedCamera(source, rectifier, model)
-
-
-def _raw_camera(mission: Mission, sim: Simulator | None, link: MavsdkLink) -> FrameSource:
-    camera = mission.camera
-    if camera.is_simulated:
-        assert sim is not None  # load_checked
-        return SimulatedCamera(sim.camera_url, timeout_s=camera.timeout_s)
-    source = int(camera.url) if camera.url.isdigit() else camera.url
-    return VideoCamera(source, timeout_s=camera.timeout_s, latency_s=camera.latency_s, clock=link)

@@ -51,7 +51,7 @@ def test_a_person_need_not_wait_until_a_vehicle_is_heard(monkeypatch):
         await asyncio.Event().wait()
         yield
 
-    monkeypatch.setattr(assembly, "_link", never_heard)
+    monkeypatch.setattr(assembly, "make_link", never_heard)
     monkeypatch.setattr(assembly._Run, "_priors_au", lambda _: None)
     run = assembly._Run(
         file=SimpleNamespace(mission=None),
@@ -93,8 +93,8 @@ def test_what_fails_after_a_flight_is_told_beside_its_result(tmp_path, monkeypat
     nothing = contextlib.nullcontext()
     monkeypatch.setattr(assembly, "_start", done)
     monkeypatch.setattr(assembly, "rehearse", lambda *_: None)
-    monkeypatch.setattr(assembly, "_link", lambda *_: nothing)
-    monkeypatch.setattr(assembly, "_camera", lambda *_: None)
+    monkeypatch.setattr(assembly, "make_link", lambda *_: nothing)
+    monkeypatch.setattr(assembly, "make_camera", lambda *_: None)
     monkeypatch.setattr(assembly, "fly_mission", done)
     monkeypatch.setattr(assembly, name, part)
     request = Request(out=tmp_path / "run")

@@ -55,6 +55,7 @@ LAYERS = {
     "viewing": 5,
     "detecting": 5,
     "calibrating": 5,
+    "connections": 5,
     "feasibility": 5,
     "simulator": 5,
 }

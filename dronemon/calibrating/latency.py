@@ -9,8 +9,8 @@ import numpy as np
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from dronemon.assembly import watching
 from dronemon.camera import FrameSource
+from dronemon.connections import watching
 from dronemon.errors import OptionError
 from dronemon.feasibility import load_checked
 from dronemon.flight_options import NamedMission, VehicleUrl
