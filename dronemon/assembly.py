@@ -42,6 +42,7 @@ from dronemon.runner import (
 )
 from dronemon.runner.history import History, Newest, read_history, read_newest
 from dronemon.runner.interrupts import Interrupted
+from dronemon.runner.preparation import known_places_au
 from dronemon.runner.relay import Relay
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, Truth, simulator
@@ -361,15 +362,8 @@ class _Run:
 
     def _priors_au(self) -> FloatArray:
         """Known positions of the targets. -> (N, 2) au, NaN where unknown."""
-        targets = self.file.mission.targets
-        priors_au = np.full((len(targets), 2), np.nan)
-        for index, target in enumerate(targets):
-            if target.prior_au == "simulated":
-                assert self.sim is not None  # load_checked
-                priors_au[index] = self.sim.targets_au[index]
-            elif target.prior_au is not None:
-                priors_au[index] = target.prior_au
-        return priors_au
+        simulated_au = np.array(self.sim.targets_au) if self.sim else None
+        return known_places_au(self.file.mission, simulated_au)
 
 
 async def _start(

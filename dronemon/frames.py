@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import pymap3d
 
-from dronemon.types import CameraModel, FloatArray, Pose
+from dronemon.types import CameraModel, FloatArray, Pose, Vector3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +128,20 @@ def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def gimbal_to_camera(gimbal_rad: Vector3) -> Vector3:
+    """Attitude of a camera on a gimbal, as of a body from which it would look straight down.
+
+    gimbal_rad: roll, pitch, yaw of where it looks, ZYX: none looks level to the north, a pitch of
+    -90 degrees straight down with the picture's top to the yaw
+    -> as `Pose.attitude_rad`
+
+    By rotation matrices, since roll and yaw are one and the same at that pitch.
+    """
+    ahead, right, below = body_to_ned(gimbal_rad).T
+    (fn, _, _), (fe, _, _), (fd, rd, dd) = np.stack([-below, right, ahead], axis=-1)
+    return math.atan2(rd, dd), math.atan2(-fd, math.hypot(rd, dd)), math.atan2(fe, fn)
 
 
 def pixel_to_ground(

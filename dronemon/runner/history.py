@@ -147,6 +147,8 @@ class History:
 
 def read_newest(folder: RunFolder) -> Newest:
     """When a run that is to go on was left. Raises RecordError if nothing is left to fly."""
+    if folder.rewatched() is not None:
+        raise RecordError(f"{folder.path} was made of pictures: it was not flown, and cannot go on")
     if folder.summary().get("outcome") == "completed":
         raise RecordError(f"{folder.path} is completed: nothing is left to fly")
     with understanding(folder):

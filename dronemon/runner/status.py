@@ -101,6 +101,8 @@ def _program(folder: RunFolder) -> str:
     outcome = folder.summary().get("outcome")
     if folder.is_flown():
         return "runs"
+    if outcome == IN_FLIGHT and folder.rewatched() is not None:
+        return "was killed, or crashed; look at the pictures again: dronemon rewatch"
     if outcome == IN_FLIGHT:
         return f"was killed, or crashed; go on: dronemon fly --resume {folder.path}"
     return f"ended: {outcome}"
