@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cache
@@ -39,7 +39,11 @@ targets:
 """
 PLACES_M = {"cow": (12.0, -8.0), "zebra": (-15.0, 22.0), "fox": (21.0, 30.0)}
 """North and east of the centre; the panda is nowhere."""
-GEOD_M, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
+_E2 = 0.00669437999014
+_W2 = 1.0 - _E2 * math.sin(math.radians(CENTRE[0])) ** 2
+NORTH_M_PER_DEG = math.radians(6_378_137.0 * (1.0 - _E2) / _W2**1.5)
+EAST_M_PER_DEG = math.radians(6_378_137.0 / math.sqrt(_W2) * math.cos(math.radians(CENTRE[0])))
+"""By the radii of curvature of WGS-84."""
 HEIGHT_M = 35.0
 TABLE_HEAD = ("picture", "time_s", "latitude", "longitude", "altitude_m")
 BODY = ("roll_deg", "pitch_deg", "yaw_deg")
@@ -58,22 +62,22 @@ class Shot:
 
     @property
     def degrees(self) -> tuple[float, float]:
-        """Latitude and longitude, by the radii of the ellipsoid's curvature."""
-        latitude_rad = math.radians(CENTRE[0])
-        e2 = FLATTENING * (2.0 - FLATTENING)
-        w2 = 1.0 - e2 * math.sin(latitude_rad) ** 2
-        meridian_m, normal_m = GEOD_M * (1.0 - e2) / w2**1.5, GEOD_M / math.sqrt(w2)
+        """Latitude and longitude."""
         north_m, east_m = self.place_m
-        return (
-            CENTRE[0] + math.degrees(north_m / meridian_m),
-            CENTRE[1] + math.degrees(east_m / (normal_m * math.cos(latitude_rad))),
-        )
+        return CENTRE[0] + north_m / NORTH_M_PER_DEG, CENTRE[1] + east_m / EAST_M_PER_DEG
 
     def row(self) -> tuple[object, ...]:
         """Of a table."""
         latitude, longitude = self.degrees
         place = f"{latitude:.8f}", f"{longitude:.8f}"
         return (self.name, f"{self.time_s:.3f}", *place, self.height_m, *self.angles_deg)
+
+
+def away_m(place: Mapping[str, float], place_m: tuple[float, float]) -> float:
+    """How far a place on the globe is from north and east of the centre."""
+    north_m = (place["latitude_deg"] - CENTRE[0]) * NORTH_M_PER_DEG
+    east_m = (place["longitude_deg"] - CENTRE[1]) * EAST_M_PER_DEG
+    return math.dist((north_m, east_m), place_m)
 
 
 def body_attitude(angles_deg: Sequence[float]) -> tuple[float, float, float]:
@@ -128,7 +132,9 @@ def draw(shot: Shot, attitude_rad: tuple[float, float, float]) -> Image.Image:
         Animal(name=look, appearance=look, position_ned_m=at, heading_rad=0.7, walked_m=0.0)
         for look, at in PLACES_M.items()
     )
-    return Image.fromarray(renderer().render(Scene(pose=pose, frame=frame, animals=animals))[..., ::-1])
+    return Image.fromarray(
+        renderer().render(Scene(pose=pose, frame=frame, animals=animals))[..., ::-1]
+    )
 
 
 def exif_of(shot: Shot) -> Image.Exif:
@@ -174,7 +180,7 @@ def xmp_of(shot: Shot, *, is_element: bool = False, has_place: bool = True) -> b
         '<x:xmpmeta xmlns:x="adobe:ns:meta/">'
         '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
         f'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" {attributes}>'
-        f'{inside if is_element else ""}</rdf:Description></rdf:RDF></x:xmpmeta>'
+        f"{inside if is_element else ''}</rdf:Description></rdf:RDF></x:xmpmeta>"
         '<?xpacket end="w"?>'
     ).encode()
 

@@ -14,6 +14,7 @@ from dronemon.frames import (
     GeoPoint,
     body_to_ned,
     geo_to_ned,
+    gimbal_to_camera,
     ground_to_pixel,
     ned_to_geo,
     pixel_to_ground,
@@ -122,3 +123,29 @@ def test_body_to_ned_is_a_rotation(roll: float, pitch: float, yaw: float):
     rotation = body_to_ned((roll, pitch, yaw))
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@given(angles, st.floats(-math.pi / 2, math.pi / 2), angles)
+def test_a_camera_on_a_gimbal_looks_where_the_gimbal_does(roll: float, pitch: float, yaw: float):
+    ahead, right, below = body_to_ned((roll, pitch, yaw)).T
+    forward, starboard, down = body_to_ned(gimbal_to_camera((roll, pitch, yaw))).T
+    np.testing.assert_allclose(down, ahead, atol=1e-9)
+    np.testing.assert_allclose(starboard, right, atol=1e-9)
+    np.testing.assert_allclose(forward, -below, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("gimbal_deg", "camera_deg"),
+    [
+        ((0, -90, 0), (0, 0, 0)),
+        ((0, -90, 77), (0, 0, 77)),
+        ((30, -90, 50), (0, 0, 80)),  # straight down, roll is yaw
+        ((180, -89, 170), (0, -1, -10)),  # as drones tell a gimbal that is a degree beyond
+        ((0, -60, 20), (0, 30, 20)),
+        ((10, -90, 0), (0, 0, 10)),
+    ],
+)
+def test_gimbals_angles_that_people_know(gimbal_deg, camera_deg):
+    roll, pitch, yaw = np.radians(gimbal_deg)
+    told_deg = np.degrees(gimbal_to_camera((roll, pitch, yaw)))
+    np.testing.assert_allclose((told_deg - camera_deg + 180.0) % 360.0 - 180.0, 0.0, atol=1e-9)

@@ -75,7 +75,7 @@ def _said(image: Image.Image) -> dict[str, str]:
     said: dict[str, str] = {}
     packet = image.info.get("xmp", b"")
     if not isinstance(packet, bytes) or len(packet) > _MOST_BYTES:
-        raise ValueError(f"its XMP is larger than {_MOST_BYTES} bytes")
+        raise ValueError(f"its XMP is no text, or larger than {_MOST_BYTES} bytes")
     if not (packet := packet.strip(b"\0 \t\r\n")):
         return said
     inside: list[str] = []

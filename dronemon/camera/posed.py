@@ -251,7 +251,10 @@ def _flaws(taken: Sequence[Taken], times_s: Sequence[float]) -> Iterator[str]:
 
 def _flaw(before: Taken, after: Taken, interval_s: float, usual_s: float) -> str | None:
     if interval_s <= 0.0:
-        return f"not later than {before.name}, which comes before ({interval_s:g} s)"
+        return (
+            f"not later than {before.name}, which comes before ({interval_s:g} s); give parts of "
+            "seconds, in the order in which they were taken"
+        )
     if interval_s > max(_LONGEST_GAP * usual_s, _LEAST_GAP_S):
         return (
             f"{interval_s:.0f} s later than {before.name}, others {usual_s:.1f} s: make two "

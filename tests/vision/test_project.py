@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dronemon.types import Pose
-from dronemon.vision.project import interpolate_pose
+from dronemon.types import CameraModel, Pose
+from dronemon.vision.project import interpolate_pose, share_shown
 
 ANGLES = st.floats(-math.pi, math.pi)
 
@@ -62,3 +62,22 @@ def test_nearer_pose_moves_on_outside_the_interval(time_s, north_m):
 def test_two_messages_of_the_same_instant_are_no_problem():
     same = pose(1.0, (1.0, 2.0, 3.0))
     assert interpolate_pose(same, same, 1.0) == same
+
+
+@pytest.mark.parametrize(
+    ("height_m", "pitch_deg", "share"),
+    [
+        (45.0, 0.0, 1.0),
+        (45.0, 12.0, 1.0),
+        (20.0, 0.0, 0.856),  # 15 m of 20 up and down: two segments of a circle are cut off
+        (35.0, 36.87, 0.5),  # the lower edge looks straight down
+        (45.0, 89.0, 0.0),
+        (1e-9, 0.0, 0.0),
+        (-3.0, 0.0, 0.0),
+    ],
+)
+def test_a_picture_shows_a_share_of_what_is_below(height_m, pitch_deg, share):
+    camera = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.radians(90))
+    attitude = (0.0, math.radians(pitch_deg), 1.0)
+    taken = pose(0.0, (7.0, -4.0, -height_m), attitude=attitude)
+    assert share_shown(camera, taken, 0.0, 20.0) == pytest.approx(share, abs=0.03)
