@@ -14,8 +14,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
 from dronemon.camera import (
     CropKeeper,
     FrameSource,
@@ -362,8 +360,7 @@ class _Run:
 
     def _priors_au(self) -> FloatArray:
         """Known positions of the targets. -> (N, 2) au, NaN where unknown."""
-        simulated_au = np.array(self.sim.targets_au) if self.sim else None
-        return known_places_au(self.file.mission, simulated_au)
+        return known_places_au(self.file.mission, self.sim.targets_au if self.sim else None)
 
 
 async def _start(

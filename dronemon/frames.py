@@ -21,6 +21,9 @@ import pymap3d
 
 from dronemon.types import CameraModel, FloatArray, Pose, Vector3
 
+_LOCKED = 1e-9
+"""Cosine of a pitch at which roll and yaw turn about the same axis."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeoPoint:
@@ -137,11 +140,16 @@ def gimbal_to_camera(gimbal_rad: Vector3) -> Vector3:
     -90 degrees straight down with the picture's top to the yaw
     -> as `Pose.attitude_rad`
 
-    By rotation matrices, since roll and yaw are one and the same at that pitch.
+    By rotation matrices: straight down, the gimbal's roll and yaw are one and the same; level, the
+    camera's are, and its roll is taken as none.
     """
     ahead, right, below = body_to_ned(gimbal_rad).T
-    (fn, _, _), (fe, _, _), (fd, rd, dd) = np.stack([-below, right, ahead], axis=-1)
-    return math.atan2(rd, dd), math.atan2(-fd, math.hypot(rd, dd)), math.atan2(fe, fn)
+    (fn, rn, _), (fe, re, _), (fd, rd, dd) = np.stack([-below, right, ahead], axis=-1)
+    level = math.hypot(rd, dd)
+    pitch_rad = math.atan2(-fd, level)
+    if level < _LOCKED:
+        return 0.0, pitch_rad, math.atan2(-rn, re)
+    return math.atan2(rd, dd), pitch_rad, math.atan2(fe, fn)
 
 
 def pixel_to_ground(

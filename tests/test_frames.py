@@ -129,9 +129,9 @@ def test_body_to_ned_is_a_rotation(roll: float, pitch: float, yaw: float):
 def test_a_camera_on_a_gimbal_looks_where_the_gimbal_does(roll: float, pitch: float, yaw: float):
     ahead, right, below = body_to_ned((roll, pitch, yaw)).T
     forward, starboard, down = body_to_ned(gimbal_to_camera((roll, pitch, yaw))).T
-    np.testing.assert_allclose(down, ahead, atol=1e-9)
-    np.testing.assert_allclose(starboard, right, atol=1e-9)
-    np.testing.assert_allclose(forward, -below, atol=1e-9)
+    np.testing.assert_allclose(down, ahead, atol=1e-6)
+    np.testing.assert_allclose(starboard, right, atol=1e-6)
+    np.testing.assert_allclose(forward, -below, atol=1e-6)
 
 
 @pytest.mark.parametrize(
