@@ -14,7 +14,6 @@ from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
@@ -80,8 +79,14 @@ def away_m(place: Mapping[str, float], place_m: tuple[float, float]) -> float:
     return math.dist((north_m, east_m), place_m)
 
 
-def body_attitude(angles_deg: Sequence[float]) -> tuple[float, float, float]:
-    roll, pitch, yaw = np.radians(angles_deg).tolist()
+def mounted_attitude(
+    body_deg: Sequence[float], mount_deg: Sequence[float]
+) -> tuple[float, float, float]:
+    """Of a camera on a vehicle, seen as looking down from a body."""
+    body, mount = (
+        Rotation.from_euler("ZYX", angles[::-1], degrees=True) for angles in (body_deg, mount_deg)
+    )
+    yaw, pitch, roll = (body * mount).as_euler("ZYX").tolist()
     return roll, pitch, yaw
 
 
@@ -194,13 +199,15 @@ def save_tagged(folder: Path, shots: Sequence[Shot], **xmp: bool) -> None:
         picture.save(folder / shot.name, "JPEG", quality=92, **told)
 
 
-def save_with_table(folder: Path, shots: Sequence[Shot], angles: tuple[str, ...]) -> Path:
-    """Pictures with a table beside them. angles: BODY or GIMBAL"""
+def save_with_table(
+    folder: Path, shots: Sequence[Shot], mount_deg: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Path:
+    """Pictures of a camera mounted on a vehicle, with a table beside them."""
     folder.mkdir(exist_ok=True)
-    attitude = body_attitude if angles == BODY else gimbal_attitude
     for shot in shots:
-        draw(shot, attitude(shot.angles_deg)).save(folder / shot.name, "JPEG", quality=92)
-    return write_table(folder, [shot.row() for shot in shots], angles)
+        picture = draw(shot, mounted_attitude(shot.angles_deg, mount_deg))
+        picture.save(folder / shot.name, "JPEG", quality=92)
+    return write_table(folder, [shot.row() for shot in shots])
 
 
 def write_table(

@@ -17,7 +17,6 @@ import typer
 from PIL import Image
 from recorded_flight import (
     BEGAN,
-    BODY,
     CENTRE,
     MISSION,
     PLACES_M,
@@ -54,7 +53,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> str:
 def tilted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """From a fixed camera on a vehicle that leans and turns."""
     folder = tmp_path_factory.mktemp("tilted")
-    save_with_table(folder, lanes([(0, 0, 0), (6, -5, 3), (-7, 5, -170), (3, 8, 90)])[::2], BODY)
+    save_with_table(folder, lanes([(0, 0, 0), (6, -5, 3), (-7, 5, -170), (3, 8, 90)])[::2])
     return folder
 
 
@@ -162,7 +161,7 @@ def save_odd(folder: Path) -> None:
         )
         for number, name in enumerate(["good", *odd, "better"])
     ]
-    save_with_table(folder, shots, BODY)
+    save_with_table(folder, shots)
     _, _, low, dark, frozen, _ = (folder / shot.name for shot in shots)
     Image.new("RGB", (640, 480)).save(dark)
     frozen.write_bytes(low.read_bytes())
@@ -297,3 +296,16 @@ def test_detect_without_poses_is_as_before(tilted: Path, mission: str, tmp_path:
         assert not (tmp_path / name / "detections.geojson").exists()
     with pytest.raises(OptionError, match="--height-m: is what --poses tells"):
         detect_command(str(tilted), mission, height_m=35.0, poses=tilted / "poses.csv")
+
+
+def test_a_camera_that_is_mounted_aslant_is_rectified_first(tmp_path: Path) -> None:
+    """The table has the vehicle's angles; the mission how the camera sits on it."""
+    mount_deg, path = (4.0, -7.0, 90.0), tmp_path / "mounted.yaml"
+    path.write_text(f"{MISSION}camera: {{mount_deg: {list(mount_deg)}}}\n")
+    shots = lanes([(0, 0, 0), (5, -4, 30)])[2:15:3]
+    save_with_table(tmp_path / "pictures", shots, mount_deg)
+    assert rewatch(tmp_path / "pictures", str(path), tmp_path / "run") == 0
+    seen = list(sightings(tmp_path / "run"))
+    assert {who for who, _ in seen} == {"Bella", "Zuri", "Rusty"}
+    for who, told in seen:
+        assert away_m(told["place"], PLACES_M[LOOKS[who]]) < NEAR_M
