@@ -20,7 +20,7 @@ from dronemon.errors import CameraError, OptionError, writing
 from dronemon.flight_options import DEFAULT_MISSION
 from dronemon.mission import Mission, find_mission, load_mission
 from dronemon.palette import target_rgb
-from dronemon.terminal import console, print_path
+from dronemon.terminal import console, print_path, print_warning
 from dronemon.types import Detection, ImageArray, Pose
 from dronemon.vision.detector import look
 from dronemon.vision.lens import Rectifier
@@ -113,9 +113,14 @@ def _posed(
     """The pictures with their poses, which are looked for where no height is given."""
     if poses is not None and height_m is not None:
         raise OptionError("--height-m: is what --poses tells of each picture; leave one")
-    if poses is None and (height_m is not None or not has_poses(Path(source))):
-        return None
-    return read_posed(Path(source), poses, mission.camera)
+    if poses is not None:
+        return read_posed(Path(source), poses, mission.camera)
+    if height_m is None and has_poses(Path(source)):
+        try:
+            return read_posed(Path(source), None, mission.camera)
+        except CameraError as exc:  # as of pictures of several flights
+            print_warning(f"where finds are on the globe is not told: {exc}")
+    return None
 
 
 def _level(source: str, level: Pose) -> Iterator[tuple[str, ImageArray, Pose]]:

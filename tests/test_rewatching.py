@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+import shutil
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -22,10 +23,12 @@ from recorded_flight import (
     PLACES_M,
     Shot,
     away_m,
+    exif_of,
     lanes,
     save_tagged,
     save_with_table,
     write_table,
+    xmp_of,
 )
 
 from dronemon.detecting import detect_command
@@ -296,6 +299,29 @@ def test_detect_without_poses_is_as_before(tilted: Path, mission: str, tmp_path:
         assert not (tmp_path / name / "detections.geojson").exists()
     with pytest.raises(OptionError, match="--height-m: is what --poses tells"):
         detect_command(str(tilted), mission, height_m=35.0, poses=tilted / "poses.csv")
+
+
+def test_detect_tells_why_it_does_not_say_where_finds_are(
+    tagged: Path, mission: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of pictures of two flights, which are looked at all the same."""
+    later = Shot(name="later.jpg", time_s=900.0, place_m=(0.0, 0.0), angles_deg=(0, -90, 0))
+    ground = Shot(
+        name="a.jpg", time_s=-1.0, place_m=(-24.0, 0.0), angles_deg=(0, -90, 0), height_m=0
+    )
+    folder = tmp_path / "pictures"
+    shutil.copytree(tagged, folder)
+    save_tagged(folder, [later])
+    detect_command(str(folder), mission, tmp_path / "two")
+    assert "later.jpg is 874 s later than DJI_0016.JPG" in capsys.readouterr().err.replace("\n", "")
+    assert not (tmp_path / "two" / "detections.geojson").exists()
+    (folder / later.name).rename(folder / ground.name)
+    image = Image.open(folder / ground.name)
+    image.save(folder / ground.name, exif=exif_of(ground), xmp=xmp_of(ground))
+    detect_command(str(folder), mission, tmp_path / "one")
+    rows = list(csv.DictReader((tmp_path / "one" / "detections.csv").read_text().splitlines()))
+    assert {row["latitude_deg"] for row in rows if row["picture"] == ground.name} == {""}
+    assert all(row["latitude_deg"] for row in rows if row["picture"] != ground.name)
 
 
 def test_a_camera_that_is_mounted_aslant_is_rectified_first(tmp_path: Path) -> None:

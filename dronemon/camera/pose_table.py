@@ -20,14 +20,20 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
-from dronemon.camera.taken import Taken, checked_attitude, checked_place, number, refuse
+from dronemon.camera.taken import (
+    Taken,
+    checked_attitude,
+    checked_place,
+    checked_time,
+    number,
+    refuse,
+)
 from dronemon.errors import CameraError
 
 _MOST_BYTES = 100_000_000
 _PLACE = ("latitude", "longitude", "altitude_m")
 _BODY = ("roll_deg", "pitch_deg", "yaw_deg")
 _GIMBAL = tuple(f"gimbal_{name}" for name in _BODY)
-_FIRST_YEAR = 1970
 
 
 def read_table(path: Path) -> list[Taken]:
@@ -112,9 +118,7 @@ def _time(text: str) -> float | datetime:
     except ValueError:
         pass
     try:
-        time = datetime.fromisoformat(text)
-    except ValueError:
-        raise ValueError(f"time_s {text!a:.40} is neither seconds nor an ISO 8601 time") from None
-    if time.year < _FIRST_YEAR:
-        raise ValueError(f"time_s {text} is before {_FIRST_YEAR}")
-    return time
+        return checked_time(datetime.fromisoformat(text))
+    except ValueError as exc:
+        what = f"time_s {text!a:.40} is neither seconds nor an ISO 8601 time: {exc}"
+        raise ValueError(what) from None

@@ -17,7 +17,7 @@ from xml.parsers import expat
 
 from PIL import ExifTags, Image
 
-from dronemon.camera.taken import Taken, checked_attitude, checked_place, number
+from dronemon.camera.taken import Taken, checked_attitude, checked_place, checked_time, number
 from dronemon.errors import CameraError, blaming
 
 _DJI = "http://www.dji.com/drone-dji/1.0/"
@@ -137,7 +137,7 @@ def _time(exif: Mapping[int, Any]) -> datetime:
     part = str(exif.get(ExifTags.Base.SubsecTimeOriginal, "")).strip("\0 ")
     zone = str(exif.get(ExifTags.Base.OffsetTimeOriginal, "")).strip("\0 ")
     try:
-        time = datetime.strptime(told.strip("\0 "), "%Y:%m:%d %H:%M:%S")
+        time = checked_time(datetime.strptime(told.strip("\0 "), "%Y:%m:%d %H:%M:%S"))
         if zone:
             time = time.replace(tzinfo=datetime.strptime(zone, "%z").tzinfo)
         return time + timedelta(seconds=number(f"0.{part}") if part else 0.0)

@@ -13,7 +13,7 @@ from dronemon.frames import GeoPoint, gimbal_to_camera
 from dronemon.types import Vector3
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.A)
-_HIGHEST_M, _MOST_DEG = 10_000.0, 360.0
+_HIGHEST_M, _MOST_DEG, _FIRST_YEAR = 10_000.0, 360.0, 1970
 _MOST_TOLD = 10
 
 
@@ -38,9 +38,18 @@ class Taken:
 
 def number(text: str) -> float:
     """A number as loggers write it. Raises ValueError."""
-    if not _NUMBER.fullmatch(text.strip()):
-        raise ValueError(f"{text!a:.40} is no number" if text.strip() else "is empty")
-    return float(text)
+    if not text.strip():
+        raise ValueError("is empty")
+    if not (_NUMBER.fullmatch(text.strip()) and math.isfinite(value := float(text))):
+        raise ValueError(f"{text!a:.40} is no number")
+    return value
+
+
+def checked_time(time: datetime) -> datetime:
+    """A date at which a picture may have been taken. Raises ValueError."""
+    if time.year < _FIRST_YEAR:
+        raise ValueError(f"{time} is before {_FIRST_YEAR}")
+    return time
 
 
 def checked_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> GeoPoint:

@@ -34,7 +34,7 @@ class Finds:
         self._sightings: list[Sighting] = []
 
     def add(self, found: Sequence[Detection], pose: Pose, marked: Path) -> list[tuple[str, ...]]:
-        """Take in a picture's finds. -> `columns` of each, empty beyond the horizon
+        """Take in a picture's finds. -> `columns` of each, empty where no ground is to be seen
 
         marked: the picture's copy
         """
@@ -43,7 +43,7 @@ class Finds:
         error_m = sighting_error_m(pose, self._frame, None)
         rows = list[tuple[str, ...]]()
         for detection, (north_m, east_m) in zip(found, places_m.tolist(), strict=True):
-            if not math.isfinite(north_m):
+            if not (math.isfinite(north_m) and self._frame.height_m(pose.position_ned_m[2]) > 0.0):
                 rows.append(("",) * len(self.columns))
                 continue
             place = ned_to_geo((north_m, east_m, 0.0), self._home)
