@@ -14,8 +14,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
 from dronemon.camera import CropKeeper
 from dronemon.card import find_checkpoint
 from dronemon.connections import make_camera, make_link
@@ -37,6 +35,7 @@ from dronemon.runner import (
 )
 from dronemon.runner.history import History, Newest, read_history, read_newest
 from dronemon.runner.interrupts import Interrupted
+from dronemon.runner.preparation import known_places_au
 from dronemon.runner.relay import Relay
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, Truth, simulator
@@ -355,15 +354,7 @@ class _Run:
 
     def _priors_au(self) -> FloatArray:
         """Known positions of the targets. -> (N, 2) au, NaN where unknown."""
-        targets = self.file.mission.targets
-        priors_au = np.full((len(targets), 2), np.nan)
-        for index, target in enumerate(targets):
-            if target.prior_au == "simulated":
-                assert self.sim is not None  # load_checked
-                priors_au[index] = self.sim.targets_au[index]
-            elif target.prior_au is not None:
-                priors_au[index] = target.prior_au
-        return priors_au
+        return known_places_au(self.file.mission, self.sim.targets_au if self.sim else None)
 
 
 async def _start(

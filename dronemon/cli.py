@@ -364,6 +364,10 @@ _ELSEWHERE = {
         "dronemon.detecting",
         "Try a mission's detector on pictures, a video or a stream, before it is flown.",
     ),
+    "rewatch": (
+        "dronemon.rewatching",
+        "See and believe what a flight would have, from pictures of an earlier one.",
+    ),
     "export": (
         "dronemon.export.command",
         "Write a flight's sightings and track for maps: GeoJSON, CSV, KMZ, GPX, Cursor-on-Target.",

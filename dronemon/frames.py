@@ -26,6 +26,8 @@ from dronemon.types import CameraModel, FloatArray, GimbalAttitude, Pose, Vector
 
 _CAMERA_TO_GIMBAL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """From top of the picture, right, ahead of the lens to ahead of the lens, right, below."""
+_LOCKED = 1e-9
+"""Cosine of a pitch at which roll and yaw turn about the same axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,11 +139,16 @@ def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
 
 
 def attitude_of(body_to_ned: FloatArray) -> Vector3:
-    """Roll, pitch and yaw of a rotation matrix, (3, 3): what `body_to_ned` is told."""
-    forward, right, down = body_to_ned.T
-    roll_rad = math.atan2(right[2], down[2])
-    pitch_rad = math.asin(min(max(-forward[2], -1.0), 1.0))
-    return roll_rad, pitch_rad, math.atan2(forward[1], forward[0])
+    """Roll, pitch and yaw of a rotation matrix, (3, 3): what `body_to_ned` is told.
+
+    Straight up or down roll and yaw turn about one axis, and roll is taken as none.
+    """
+    (fn, rn, _), (fe, re, _), (fd, rd, dd) = body_to_ned
+    level = math.hypot(rd, dd)
+    pitch_rad = math.atan2(-fd, level)
+    if level < _LOCKED:
+        return 0.0, pitch_rad, math.atan2(-rn, re)
+    return math.atan2(rd, dd), pitch_rad, math.atan2(fe, fn)
 
 
 def quaternion_to_rotation(quaternion: Sequence[float]) -> FloatArray:
@@ -169,6 +176,16 @@ def camera_to_ned(gimbal: GimbalAttitude, heading_rad: float) -> FloatArray:
 def off_down_rad(camera_to_ned: FloatArray) -> float:
     """Angle between where a camera looks and straight down. camera_to_ned: (3, 3)."""
     return math.acos(min(max(float(camera_to_ned[2, 2]), -1.0), 1.0))
+
+
+def gimbal_to_camera(gimbal_rad: Vector3) -> Vector3:
+    """Attitude of a camera on a gimbal, as of a body from which it would look straight down.
+
+    gimbal_rad: roll, pitch, yaw of where it looks, ZYX: none looks level to the north, a pitch of
+    -90 degrees straight down with the picture's top to the yaw
+    -> as `Pose.attitude_rad`
+    """
+    return attitude_of(body_to_ned(gimbal_rad) @ _CAMERA_TO_GIMBAL)
 
 
 def pixel_to_ground(

@@ -160,11 +160,13 @@ class FlightDisplay:
         share = min(status.flown_au / status.horizon_au, 1.0) if status.horizon_au else 0.0
         filled = round(share * _BAR_WIDTH)
         level = "?" if status.battery is None else f"{status.battery:.0%}"
+        battery = f"  battery {level} ({status.battery_needed:.0%} home)"
+        is_flown = status.battery is not None or status.battery_needed > 0.0
         return (
             f"{status.phase:<14}  {done * filled}{to_do * (_BAR_WIDTH - filled)} {share:4.0%}"
             f"  {_minutes(status.left_s)} left",
             f"{status.flown_au:.1f}/{status.horizon_au:g} au  {status.speed_m_s:.1f} m/s"
-            f"  battery {level} ({status.battery_needed:.0%} home)",
+            + (battery if is_flown else ""),
             _seen(status.since_seen_s),
         )
 

@@ -38,6 +38,11 @@ class BoundedQueue(Generic[T]):
             self._changed.notify()
             return True
 
+    def wait_empty(self, timeout_s: float) -> None:
+        """Wait until the worker has taken all, at the latest for this time."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._items, timeout_s)
+
     def close(self, timeout_s: float) -> None:
         """Let the worker end, at the latest after this time with the item it is at."""
         with self._changed:
@@ -57,4 +62,5 @@ class BoundedQueue(Generic[T]):
                     return
                 item, num_bytes = self._items.popleft()
                 self._waiting_bytes -= num_bytes
+                self._changed.notify_all()
             yield item

@@ -79,6 +79,10 @@ async def done(*_):
     return RESULT
 
 
+async def nobody(*_):
+    return None
+
+
 @pytest.mark.parametrize(
     ("name", "part"),
     [
@@ -91,7 +95,7 @@ def test_what_fails_after_a_flight_is_told_beside_its_result(tmp_path, monkeypat
     path = tmp_path / "small.yaml"
     path.write_text(MISSION)
     nothing = contextlib.nullcontext()
-    monkeypatch.setattr(assembly, "_start", done)
+    monkeypatch.setattr(assembly, "_start", nobody)
     monkeypatch.setattr(assembly, "rehearse", lambda *_: None)
     monkeypatch.setattr(assembly, "make_link", lambda *_: nothing)
     monkeypatch.setattr(assembly, "make_camera", lambda *_: None)

@@ -18,6 +18,7 @@ from dronemon.frames import (
     body_to_ned,
     camera_to_ned,
     geo_to_ned,
+    gimbal_to_camera,
     ground_to_pixel,
     ned_to_geo,
     off_down_rad,
@@ -197,3 +198,29 @@ def test_the_simulators_gimbal_looks_as_its_camera_does():
         gimbal.step(0.01)
     heard = _gimbal(0.0, gimbal.pitch_rad, gimbal.yaw_rad, is_from_heading=True)
     assert attitude_of(camera_to_ned(heard, 1.1)) == pytest.approx(gimbal.camera_attitude_rad(1.1))
+
+
+@given(angles, st.floats(-math.pi / 2, math.pi / 2), angles)
+def test_a_camera_on_a_gimbal_looks_where_the_gimbal_does(roll: float, pitch: float, yaw: float):
+    ahead, right, below = body_to_ned((roll, pitch, yaw)).T
+    forward, starboard, down = body_to_ned(gimbal_to_camera((roll, pitch, yaw))).T
+    np.testing.assert_allclose(down, ahead, atol=1e-6)
+    np.testing.assert_allclose(starboard, right, atol=1e-6)
+    np.testing.assert_allclose(forward, -below, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("gimbal_deg", "camera_deg"),
+    [
+        ((0, -90, 0), (0, 0, 0)),
+        ((0, -90, 77), (0, 0, 77)),
+        ((30, -90, 50), (0, 0, 80)),  # straight down, roll is yaw
+        ((180, -89, 170), (0, -1, -10)),  # as drones tell a gimbal that is a degree beyond
+        ((0, -60, 20), (0, 30, 20)),
+        ((10, -90, 0), (0, 0, 10)),
+    ],
+)
+def test_gimbals_angles_that_people_know(gimbal_deg, camera_deg):
+    roll, pitch, yaw = np.radians(gimbal_deg)
+    told_deg = np.degrees(gimbal_to_camera((roll, pitch, yaw)))
+    np.testing.assert_allclose((told_deg - camera_deg + 180.0) % 360.0 - 180.0, 0.0, atol=1e-9)

@@ -54,6 +54,7 @@ LAYERS = {
     "report": 5,
     "viewing": 5,
     "detecting": 5,
+    "rewatching": 5,
     "calibrating": 5,
     "connections": 5,
     "feasibility": 5,

@@ -1,6 +1,7 @@
 """Cameras: where pictures come from."""
 
 from dronemon.camera.crops import CropKeeper, crop_path
+from dronemon.camera.posed import PosedCamera, PosedPictures, has_poses, read_posed
 from dronemon.camera.rectified import RectifiedCamera
 from dronemon.camera.simulated import SimulatedCamera
 from dronemon.camera.source import FrameSource, Freshness, check_picture, check_size
@@ -10,10 +11,14 @@ __all__ = [
     "CropKeeper",
     "FrameSource",
     "Freshness",
+    "PosedCamera",
+    "PosedPictures",
     "RectifiedCamera",
     "SimulatedCamera",
     "VideoCamera",
     "check_picture",
     "check_size",
     "crop_path",
+    "has_poses",
+    "read_posed",
 ]

@@ -61,6 +61,10 @@ class CropKeeper:
         self._queue.close(_FINISH_S)
         self._worker.join(_FINISH_S)
 
+    def catch_up(self, timeout_s: float) -> None:
+        """Wait until what it was told is written, at the latest for this time; not in flight."""
+        self._queue.wait_empty(timeout_s)
+
     def take(self, event: Event) -> None:
         """Keep what a picture shows of the targets that were seen in it."""
         match event:

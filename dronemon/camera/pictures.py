@@ -26,23 +26,32 @@ def pictures_of(source: str) -> Iterator[tuple[str, ImageArray]]:
     """
     path = Path(source)
     if path.is_dir():
-        files = sorted(
-            f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.name[0] != "."
-        )
-        if not files:
-            raise CameraError(
-                f"{source}: no pictures in it; read are {', '.join(sorted(SUFFIXES))}"
-            )
-        for file in files:
-            yield file.name, _read(file)
+        for file in picture_files(path):
+            yield file.name, read_picture(file)
     elif path.suffix.lower() in SUFFIXES:
-        yield path.name, _read(path)
+        yield path.name, read_picture(path)
     else:
         yield from _frames(source)
 
 
-def _read(path: Path) -> ImageArray:
-    """A picture as it is stored: a camera's, which no flag has turned upright."""
+def picture_files(folder: Path) -> list[Path]:
+    """A folder's pictures by their names, one at least. Raises CameraError."""
+    try:
+        files = sorted(
+            f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES and f.name[0] != "."
+        )
+    except OSError as exc:
+        raise CameraError(f"{folder}: no folder that can be read: {exc.strerror}") from exc
+    if not files:
+        raise CameraError(f"{folder}: no pictures in it; read are {', '.join(sorted(SUFFIXES))}")
+    return files
+
+
+def read_picture(path: Path) -> ImageArray:
+    """A picture as it is stored: a camera's, which no flag has turned upright.
+
+    Raises CameraError.
+    """
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION

@@ -110,6 +110,11 @@ def _parts(values: NDArray[np.int16]) -> FloatArray:
 def check_size(image: ImageArray, model: CameraModel) -> None:
     """See whether a picture is as large as the camera's. Raises CameraError if not."""
     height_px, width_px = image.shape[:2]
+    check_size_px(width_px, height_px, model)
+
+
+def check_size_px(width_px: int, height_px: int, model: CameraModel) -> None:
+    """The same of a picture of this size."""
     wanted_px = model.width_px, model.height_px
     if (width_px, height_px) != wanted_px:
         turned = "; it seems to be turned" if (height_px, width_px) == wanted_px else ""

@@ -38,8 +38,11 @@ _UNKNOWN_M = "9999999.0"
 """What Cursor-on-Target writes for a height or an error that is not known."""
 
 
-def geojson(story: Story) -> bytes:
-    """Area, track and sightings as one FeatureCollection."""
+PICTURES_FOLDER = "pictures/"
+
+
+def geojson(story: Story, pictures: str = PICTURES_FOLDER) -> bytes:
+    """Area, track and sightings as one FeatureCollection. pictures: where crops are from there"""
     features = []
     if story.corners:
         area = shapely.Polygon(_unwound(story.corners))
@@ -50,7 +53,7 @@ def geojson(story: Story) -> bytes:
         features.append(_feature(shapely.LineString(_unwound(places)), kind="track", **times))
     for sighting in story.sightings:
         point = shapely.Point(_lonlat(sighting.place))
-        features.append(_feature(point, kind="sighting", **_facts(sighting)))
+        features.append(_feature(point, kind="sighting", **_facts(sighting, pictures)))
     collection = {"type": "FeatureCollection", "features": features}
     return json.dumps(collection, ensure_ascii=False, indent=1).encode()
 
@@ -204,14 +207,14 @@ FORMATS: dict[str, Callable[[Story], bytes]] = {
 """Names of the files, and what makes them."""
 
 
-def _facts(sighting: Sighting) -> dict[str, Any]:
+def _facts(sighting: Sighting, pictures: str = PICTURES_FOLDER) -> dict[str, Any]:
     return {
         "time": _iso(sighting.time),
         "target": sighting.target,
         "class": sighting.appearance,
         "error_m": round(sighting.error_m, 1),
         "score": None if sighting.score is None else round(sighting.score, 2),
-        "picture": f"pictures/{sighting.crop.name}" if sighting.crop else None,
+        "picture": f"{pictures}{sighting.crop.name}" if sighting.crop else None,
     }
 
 

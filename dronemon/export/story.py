@@ -79,7 +79,7 @@ def read_story(folder: RunFolder) -> Story:
             )
         return Story(
             name=mission.name,
-            title=mission.name + (f" ({how})" if (how := simulated(mission)) else ""),
+            title=mission.name + (f" ({how})" if (how := _made(folder, mission)) else ""),
             started=_utc(folder.summary()["started"]),
             cell_m=0.0,
             corners=tuple(_corners(laid[-1])),
@@ -95,8 +95,10 @@ def read_story(folder: RunFolder) -> Story:
         )
 
 
-def simulated(mission: Mission) -> str:
-    """What of a flight was simulated, in words; empty for nothing."""
+def _made(folder: RunFolder, mission: Mission) -> str:
+    """What of a run was not flown for real, in words; empty for nothing."""
+    if folder.rewatched() is not None:
+        return "from pictures of an earlier flight"
     if mission.vehicle.is_mock:
         return f"simulated, at {mission.vehicle.speed_up:g} times real time"
     return "with simulated targets" if mission.camera.is_simulated else ""

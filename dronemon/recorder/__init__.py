@@ -5,9 +5,11 @@ from dronemon.recorder.folder import (
     LINE_FILES,
     MISSION_FILE,
     NEEDED_BYTES,
+    REWATCHED,
     RUN_FILES,
     SIMULATOR_LOG,
     TRUTH_FILE,
+    Earlier,
     RunFolder,
 )
 from dronemon.recorder.writer import RunRecorder
@@ -17,9 +19,11 @@ __all__ = [
     "LINE_FILES",
     "MISSION_FILE",
     "NEEDED_BYTES",
+    "REWATCHED",
     "RUN_FILES",
     "SIMULATOR_LOG",
     "TRUTH_FILE",
+    "Earlier",
     "RunFolder",
     "RunRecorder",
 ]

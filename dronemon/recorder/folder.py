@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,21 @@ RUN_FILES = (MISSION_FILE, *LINE_FILES, RRD_FILE, SUMMARY_FILE)
 TRUTH_FILE, SIMULATOR_LOG = OTHER_FILES = ("truth.jsonl", "simulator.log")
 """What a simulator writes beside them."""
 IN_FLIGHT = "in flight"
+REWATCHED = "rewatched"
+"""Of a summary, where its pictures were: it was not flown by this program."""
 NEEDED_BYTES = 100_000_000
 """Free space asked for before a flight; one with 300 pictures takes less than half of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Earlier:
+    """A flight of before whose pictures are looked at now.
+
+    pictures: where they are; began: wall time of its time 0
+    """
+
+    pictures: Path
+    began: datetime
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +93,11 @@ class RunFolder:
             return dict(json.loads(file.read_text(encoding="utf-8")))
         except (TypeError, ValueError, RecursionError) as exc:
             raise RecordError(f"{file} is damaged: {exc}") from exc
+
+    def rewatched(self) -> str | None:
+        """Where the pictures were that it was made from; None if it was flown."""
+        pictures = self.summary().get(REWATCHED)
+        return None if pictures is None else str(pictures)
 
     def observations(self) -> Iterator[dict[str, Any]]:
         """Read the measurements in order."""

@@ -52,8 +52,10 @@ from dronemon.recorder.folder import (
     OBSERVATIONS_FILE,
     OTHER_FILES,
     POSES_FILE,
+    REWATCHED,
     RUN_FILES,
     SUMMARY_FILE,
+    Earlier,
     RunFolder,
     fingerprint,
 )
@@ -78,19 +80,25 @@ class RunRecorder:
         *,
         is_new: bool = False,
         before: Mapping[str, Any] | None = None,
+        earlier: Earlier | None = None,
     ) -> None:
-        """is_new: whether the folder was made for it; before: summary of a run that goes on."""
+        """is_new: whether the folder was made for it; before: summary of a run that goes on.
+
+        earlier: what is looked at, where nothing is flown: its wall time counts
+        """
         self.folder = folder
-        self._is_new, self._before = is_new, before
+        self._is_new, self._before, self._earlier = is_new, before, earlier
         self._laid: AreaLaid | None = None
         self._pose: Pose | None = None
         self._posed_s = -math.inf
         self._names = tuple(names)
         self._head: dict[str, object] = {
-            "started": _stamp("seconds"),
+            "started": self._stamp(0.0, "seconds"),
             "code": code_version(),
             "targets": self._names,
         }
+        if earlier is not None:
+            self._head[REWATCHED] = str(earlier.pictures.absolute())
         if before is not None:
             resumed = [*before.get("resumed", ()), _stamp("seconds")]
             self._head |= {
@@ -114,6 +122,7 @@ class RunRecorder:
         root: Path = Path("runs"),
         out: Path | None = None,
         needed_bytes: int = NEEDED_BYTES,
+        earlier: Earlier | None = None,
     ) -> RunRecorder:
         """Make a run folder: `out`, or a new one named by time and mission under `root`.
 
@@ -126,7 +135,7 @@ class RunRecorder:
             _check_space(path, needed_bytes)
             write_new(path / MISSION_FILE, _as_flown(mission))
             names = [target.name for target in mission.targets]
-            recorder = cls(RunFolder(path=path), names, is_new=is_new)
+            recorder = cls(RunFolder(path=path), names, is_new=is_new, earlier=earlier)
             recorder._write_summary({"outcome": IN_FLIGHT})
         except OSError as exc:
             raise RecordError(
@@ -179,7 +188,7 @@ class RunRecorder:
         if self._laid is None or 0.0 <= pose.time_s - self._posed_s < POSE_INTERVAL_S:
             return
         self._posed_s = pose.time_s
-        said = asdict(pose) | {"wall": _stamp("milliseconds")}
+        said = asdict(pose) | {"wall": self._stamp(pose.time_s)}
         self._append(POSES_FILE, said | self._place(pose.position_ned_m))
 
     def _observation(self, event: Measured) -> dict[str, object]:
@@ -205,7 +214,7 @@ class RunRecorder:
 
     def _event(self, event: Noted) -> dict[str, object]:
         boot, up_s = machine_time()
-        said = {"time_s": event.time_s, "wall": _stamp("milliseconds")}
+        said = {"time_s": event.time_s, "wall": self._stamp(event.time_s)}
         said |= {"boot": boot, "up_s": round(up_s, 3), "kind": event.kind, "text": event.text}
         where = self._place(self._pose.position_ned_m) if self._pose else {}
         return said | where | dict(event.fields)
@@ -225,7 +234,16 @@ class RunRecorder:
     def _wall(self, time_s: float) -> str:
         """Wall time of a vehicle time that has just passed."""
         passed_s = self._pose.time_s - time_s if self._pose else 0.0
-        return _stamp("milliseconds", ago_s=passed_s)
+        return self._stamp(time_s, ago_s=passed_s)
+
+    def _stamp(
+        self, time_s: float | None, precision: str = "milliseconds", ago_s: float = 0.0
+    ) -> str:
+        """Wall time: now, or so long ago; of an earlier flight that of its time."""
+        if self._earlier is None or time_s is None:
+            return _stamp(precision, ago_s)
+        then = self._earlier.began.astimezone() + timedelta(seconds=time_s)
+        return then.isoformat(timespec=precision)
 
     @property
     def lost_lines(self) -> int:

@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 
 from dronemon.palette import on_paper
 from dronemon.problem import LOST_STD
-from dronemon.recorder import MISSION_FILE
+from dronemon.recorder import MISSION_FILE, REWATCHED
 from dronemon.report.figures import FIGURES, svg
 from dronemon.report.flight import RECENTLY_S, Flight
 from dronemon.runner.summary import figures, how_flown
@@ -34,7 +34,7 @@ def page(flight: Flight) -> str:
         began=f"{story.started:%Y-%m-%d %H:%M:%S}",
         ended=f"{story.track[-1].time:%H:%M:%S}" if story.track else "",
         outcome=_outcome(summary, is_whole=not story.cell_m),
-        is_bad=not summary.get("is_landed", False) or bool(summary.get("error")),
+        is_bad=not (summary.get("is_landed") or REWATCHED in summary) or bool(summary.get("error")),
         targets=[_target(flight, number) for number in range(len(flight.names))],
         coverage=_coverage(flight),
         recently=span(RECENTLY_S),
@@ -53,6 +53,8 @@ def page(flight: Flight) -> str:
 def _outcome(summary: Mapping[str, Any], *, is_whole: bool) -> str:
     """How it ended, in a sentence; its error, which may say where, only where all is told."""
     landed = "The drone is down." if summary.get("is_landed") else "Nobody saw the drone land."
+    if REWATCHED in summary:
+        landed = "Nothing was flown: these are pictures of an earlier flight."
     error = f" {summary['error']}" if is_whole and summary.get("error") else ""
     return f"Outcome: {summary['outcome']}. {landed}{error}"
 
@@ -92,10 +94,13 @@ def _event(event: Mapping[str, Any]) -> dict[str, str]:
 
 def _made(flight: Flight) -> dict[str, str]:
     summary, run = flight.summary, flight.folder.path.resolve().name
+    made = {"this page": f"dronemon report {shlex.quote(run)}"}
+    if REWATCHED in summary:
+        return {"looked at by": f"dronemon {summary['code']}", **made}
     made = {
         "flown by": f"dronemon {summary['code']}, planner {flight.mission.planner.kind}",
         "fly it again": f"dronemon fly {shlex.quote(f'{run}/{MISSION_FILE}')}",
-        "this page": f"dronemon report {shlex.quote(run)}",
+        **made,
     }
     if "checkpoint" in summary:
         made["weights"] = "{name}, SHA-256 {sha256}".format(**summary["checkpoint"])

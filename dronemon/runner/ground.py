@@ -9,7 +9,8 @@ import numpy as np
 from dronemon.errors import VehicleError
 from dronemon.events import AreaLaid, EventStream
 from dronemon.fence import Fence
-from dronemon.frames import AreaFrame
+from dronemon.frames import AreaFrame, GeoPoint
+from dronemon.mission import Mission
 from dronemon.roadmap import Roadmap
 from dronemon.runner.inspection import fence_around, lay_area
 from dronemon.runner.preparation import FlightSetup
@@ -62,8 +63,11 @@ class Ground:
         if history is not None and history.is_other(board):
             self._events.note("vehicle", "another one than flew this run so far", level="WARN")
         downs_m = [(await link.next_pose()).position_ned_m[2] for _ in range(_POSES)]
-        centre = laid.centre if laid else None
-        return lay_area(self._mission, link.state, float(np.mean(downs_m)), centre)
+        state = link.state
+        assert state.home is not None  # wait_ready waited for both
+        assert state.origin is not None
+        around = laid.centre if laid else state.home
+        return lay_area(self._mission, around, state.origin, float(np.mean(downs_m)))
 
     async def lay_fence(self, frame: AreaFrame) -> Fence:
         """Have the vehicle keep the fence that the guard keeps, or in the air see that it does."""
@@ -95,22 +99,42 @@ class Ground:
         """Tell of the area; the line of it has what a flight that goes on needs to know."""
         origin = self._link.state.origin
         assert origin is not None  # as above
-        self._events.emit(
-            AreaLaid(
-                system_id=self._link.system_id,
-                area=frame,
-                origin=origin,
-                footprint_radius_m=self._mission.sensor_radius_m,
-                fence_ned_m=fence.corners_ned_m,
-                nodes_au=roadmap.nodes_au,
-                edges=np.argwhere(roadmap.edge_lengths_au.toarray() > 0),
-            )
-        )
-        self._events.note(
-            "ready",
-            "the vehicle is ready" + (", and has the flight's fence" if self._has_fence else ""),
-            frame=asdict(frame),
-            origin=asdict(origin),
-            hardware=self._link.state.hardware,
-            fence_ned_m=fence.corners_ned_m,
-        )
+        laid = area_laid(self._mission, frame, origin, fence, roadmap, self._link.system_id)
+        text = "the vehicle is ready" + (", and has the flight's fence" if self._has_fence else "")
+        tell_laid(self._events, laid, text, self._link.state.hardware)
+
+
+def area_laid(
+    mission: Mission,
+    frame: AreaFrame,
+    origin: GeoPoint,
+    fence: Fence,
+    roadmap: Roadmap,
+    system_id: int,
+) -> AreaLaid:
+    """What is told once the area is laid."""
+    return AreaLaid(
+        system_id=system_id,
+        area=frame,
+        origin=origin,
+        footprint_radius_m=mission.sensor_radius_m,
+        fence_ned_m=fence.corners_ned_m,
+        nodes_au=roadmap.nodes_au,
+        edges=np.argwhere(roadmap.edge_lengths_au.toarray() > 0),
+    )
+
+
+def tell_laid(events: EventStream, laid: AreaLaid, text: str, hardware: str | None) -> None:
+    """Tell of the area; the line of it has what `Laid` reads.
+
+    hardware: the vehicle's board, None if it does not say
+    """
+    events.emit(laid)
+    events.note(
+        "ready",
+        text,
+        frame=asdict(laid.area),
+        origin=asdict(laid.origin),
+        hardware=hardware,
+        fence_ned_m=laid.fence_ned_m,
+    )

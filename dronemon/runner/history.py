@@ -147,10 +147,17 @@ class History:
 
 def read_newest(folder: RunFolder) -> Newest:
     """When a run that is to go on was left. Raises RecordError if nothing is left to fly."""
-    if folder.summary().get("outcome") == "completed":
-        raise RecordError(f"{folder.path} is completed: nothing is left to fly")
+    refuse_what_is_over(folder)
     with understanding(folder):
         return _newest(folder, folder.events())
+
+
+def refuse_what_is_over(folder: RunFolder) -> None:
+    """Raise RecordError for a run that cannot go on."""
+    if folder.rewatched() is not None:
+        raise RecordError(f"{folder.path} was made of pictures: it was not flown, and cannot go on")
+    if folder.summary().get("outcome") == "completed":
+        raise RecordError(f"{folder.path} is completed: nothing is left to fly")
 
 
 @contextlib.contextmanager

@@ -74,20 +74,15 @@ async def look(setup: FlightSetup) -> Sight:
     return Sight(wait_s=wait_s, age_s=max(now_s - picture.time_s, 0.0))
 
 
-def lay_area(
-    mission: Mission, state: VehicleState, ground_down_m: float, laid: GeoPoint | None = None
-) -> AreaFrame:
-    """Lay the square over the ground; home and origin must be known.
+def lay_area(mission: Mission, home: GeoPoint, origin: GeoPoint, ground_down_m: float) -> AreaFrame:
+    """Lay the square over the ground, where the mission says, or else around home.
 
-    laid: where its centre was laid before
+    origin: of the local frame
     """
-    area = mission.area
-    assert state.home is not None  # wait_ready waited for both
-    assert state.origin is not None
-    centre = laid or state.home
+    area, centre = mission.area, home
     if area.latitude_deg is not None and area.longitude_deg is not None:
         centre = GeoPoint(latitude_deg=area.latitude_deg, longitude_deg=area.longitude_deg)
-    north_m, east_m, _ = geo_to_ned(centre, state.origin)
+    north_m, east_m, _ = geo_to_ned(centre, origin)
     return AreaFrame(
         centre_ned_m=(float(north_m), float(east_m)),
         ground_down_m=ground_down_m,
@@ -236,8 +231,9 @@ async def inspect_vehicle(
         except CameraError as exc:
             sight = exc
         frame = None
-        if link.state.home and link.state.origin and not unready:
-            frame = lay_area(mission, link.state, link.pose.position_ned_m[2])
+        home, origin = link.state.home, link.state.origin
+        if home and origin and not unready:
+            frame = lay_area(mission, home, origin, link.pose.position_ned_m[2])
         findings = await find(
             setup, sight, frame=frame, unready=unready, detector=detector, gimbal=gimbal
         )

@@ -5,24 +5,20 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import Sequence
 from functools import partial
 
-import numpy as np
-
+from dronemon.belief import Belief
 from dronemon.camera import Freshness, check_picture
 from dronemon.errors import CameraError
-from dronemon.events import Believed, EventStream, Measured, Pictured
+from dronemon.events import EventStream
 from dronemon.frames import AreaFrame
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.preparation import LOOK_LIMIT_S, FlightSetup, make_belief
+from dronemon.runner.eyes import Eyes
+from dronemon.runner.preparation import LOOK_LIMIT_S, FlightSetup
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
-from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
-from dronemon.vision.detector import look
-from dronemon.vision.observe import observe, sighting_error_m
-from dronemon.vision.owners import NOBODY, Owners
+from dronemon.types import Picture, Pose
 from dronemon.vision.project import interpolate_pose, on_gimbal
 
 BLIND_LIMIT_S = 30.0
@@ -37,9 +33,9 @@ _MAX_PENDING = 8
 
 
 class Observer:
-    """The patrol's eyes; `tally` is given when it begins, or goes on.
+    """Has the patrol's pictures taken and looked at.
 
-    belief: what the pictures have told so far.
+    tally: is given when it begins, or goes on
     """
 
     def __init__(
@@ -54,10 +50,7 @@ class Observer:
         self._mission = setup.file.mission
         self._link = setup.link
         self._events = events
-        self._frame = frame
         self._battery = battery
-        self._names = tuple(target.name for target in self._mission.targets)
-        self._owners = Owners.of_mission(self._mission)
         self._unseen: deque[tuple[Picture, Pose]] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
         self._freshness = Freshness()
@@ -69,7 +62,12 @@ class Observer:
         self._is_taking = False
         self.tally = tally
         sightings = tally.sightings if tally else Sightings(setup.priors_au)
-        self.belief = make_belief(self._mission, sightings)
+        self._eyes = Eyes(self._mission, setup.detector, events, frame, sightings)
+
+    @property
+    def belief(self) -> Belief:
+        """What the pictures have told so far."""
+        return self._eyes.belief
 
     @property
     def is_taking(self) -> bool:
@@ -165,66 +163,19 @@ class Observer:
     async def _look(self, picture: Picture, pose: Pose) -> None:
         tally = self.tally
         assert tally is not None  # pictures are asked for only once the patrol has begun
-        time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
-        detect = partial(self._detect, picture, pose, time_au)
-        detections, owners, measurement = await in_daemon_thread(
-            detect, "the detector", CameraError, LOOK_LIMIT_S
+        glance = await in_daemon_thread(
+            partial(self._eyes.look, picture, pose, tally.start_s),
+            "the detector",
+            CameraError,
+            LOOK_LIMIT_S,
         )
-        stretch, number = tally.stretch(picture.time_s), len(self.belief.sightings) + 1
-        self._events.emit(
-            Measured(
-                number=number,
-                time_s=picture.time_s,
-                measurement=measurement,
-                score=self._scores(detections, owners),
-                pose=pose,
-                error_m=sighting_error_m(pose, self._frame, self._link.state.accuracy_m),
-                battery=self._link.state.battery,
-                battery_needed=self._battery.needed,
-                stretch=stretch,
-            )
+        self._eyes.tell(
+            glance,
+            tally,
+            accuracy_m=self._link.state.accuracy_m,
+            battery=self._link.state.battery,
+            battery_needed=self._battery.needed,
         )
-        seen = (
-            name for name, is_seen in zip(self._names, measurement.seen, strict=True) if is_seen
-        )
-        tally.measure(picture.time_s, stretch.pictured_m, seen)
         self._unseen.popleft()
         self._see()
-        self.belief.sightings.add(measurement)
-        if self._mission.record.pictures:
-            pictured = Pictured(
-                number=number, picture=picture, detections=detections, owners=owners, pose=pose
-            )
-            self._events.emit(pictured)
-        self._events.emit(
-            Believed(
-                time_s=picture.time_s,
-                time_au=measurement.time_au,
-                posterior=self.belief.posterior_of_now(),
-            )
-        )
-
-    def _detect(
-        self, picture: Picture, pose: Pose, time_au: float
-    ) -> tuple[tuple[Detection, ...], list[int], Measurement]:
-        """What the detector finds, whose each is, and what that says of targets. In a thread."""
-        ground_down_m = self._frame.ground_down_m
-        detections = look(self._setup.detector, picture.image, pose, ground_down_m)
-        measurement, owners = observe(
-            detections,
-            pose=pose,
-            camera=self._mission.camera.model,
-            frame=self._frame,
-            owners=self._owners,
-            sightings=self.belief.sightings,
-            time_au=time_au,
-        )
-        return detections, owners, measurement
-
-    def _scores(self, detections: Sequence[Detection], owners: Sequence[int]) -> FloatArray:
-        """How surely each target was found. -> (N,), NaN where it was not."""
-        scores = np.full(len(self._names), np.nan)
-        for found, target in zip(detections, owners, strict=True):
-            if target != NOBODY:
-                scores[target] = found.score
-        return scores
+        self._eyes.believe(glance)

@@ -198,6 +198,20 @@ def draw_start_and_roadmap(mission: Mission) -> tuple[FloatArray, Roadmap]:
     return start_au, roadmap
 
 
+def known_places_au(mission: Mission, simulated_au: FloatArray | None) -> FloatArray:
+    """Where the mission's targets are at first. -> (N, 2) au, NaN where that is not known.
+
+    simulated_au: (N, 2) where the simulator has them, None where there is none to ask
+    """
+    places_au = np.full((len(mission.targets), 2), np.nan)
+    for index, target in enumerate(mission.targets):
+        if target.prior_au != "simulated":
+            places_au[index] = target.prior_au or np.nan
+        elif simulated_au is not None:
+            places_au[index] = simulated_au[index]
+    return places_au
+
+
 def brief(
     mission: Mission,
     priors_au: FloatArray,

@@ -10,7 +10,7 @@ from typing import Any
 from dronemon.errors import RecordError
 from dronemon.mission import Mission
 from dronemon.recorder import IN_FLIGHT, RunFolder
-from dronemon.runner.history import GOING_ON, understanding
+from dronemon.runner.history import GOING_ON, refuse_what_is_over, understanding
 from dronemon.runner.relay import BATTERY, CHANGED, REQUEST_FILE, WAITING
 
 _BEGINNINGS = {
@@ -68,8 +68,7 @@ def _status(folder: RunFolder, mission: Mission) -> dict[str, str]:
 def ask_to_go_on(folder: RunFolder) -> None:
     """Tell a program that waits for it to take off again. Raises RecordError if none does."""
     if not folder.is_flown():
-        if (outcome := folder.summary().get("outcome")) == "completed":
-            raise RecordError(f"{folder.path} is {outcome}: nothing is left to fly")
+        refuse_what_is_over(folder)
         raise RecordError(
             f"no program flies {folder.path}; go on with it: dronemon fly --resume {folder.path}"
         )
@@ -101,6 +100,8 @@ def _program(folder: RunFolder) -> str:
     outcome = folder.summary().get("outcome")
     if folder.is_flown():
         return "runs"
+    if outcome == IN_FLIGHT and folder.rewatched() is not None:
+        return "was killed, or crashed; look at the pictures again: dronemon rewatch"
     if outcome == IN_FLIGHT:
         return f"was killed, or crashed; go on: dronemon fly --resume {folder.path}"
     return f"ended: {outcome}"

@@ -112,14 +112,15 @@ def summarise(
         landing_error_m=result.landing_error_m,
         landing_battery=result.landing_battery,
         error=str(result.error) if result.error else None,
-        flown=_flown(tally, mission, place_of) if tally else None,
+        flown=flown(tally, mission, place_of) if tally else None,
         score=_score(tally, truth, mission) if tally else None,
     )
 
 
-def _flown(
+def flown(
     tally: Tally, mission: Mission, place_of: Callable[[FloatArray], GeoPoint | None]
 ) -> Flown:
+    """What a tally comes to; see `summarise`."""
     side_m = mission.area.side_m
     spacing_m = np.diff(tally.pictured_m, prepend=0.0)
     due_m = MEASUREMENT_INTERVAL_AU * side_m

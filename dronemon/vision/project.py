@@ -10,11 +10,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from dronemon.errors import CameraError
-from dronemon.frames import attitude_of, camera_to_ned, off_down_rad, pixel_to_ground
+from dronemon.frames import (
+    attitude_of,
+    camera_to_ned,
+    ground_to_pixel,
+    off_down_rad,
+    pixel_to_ground,
+)
 from dronemon.types import CameraModel, FloatArray, GimbalAttitude, Pose, Vector3
 
 _MOST_OFF_DOWN_DEG = 20.0
 """By which a gimbal may look off straight down and its pictures still count."""
+
+_STEPS = 41
+"""Places across the circle of which a share is taken."""
 
 
 def interpolate_pose(before: Pose, after: Pose, time_s: float) -> Pose:
@@ -76,6 +85,16 @@ def _wrapped(angles_rad: FloatArray) -> FloatArray:
 def _vector(values: FloatArray) -> Vector3:
     x, y, z = (float(v) for v in values)
     return x, y, z
+
+
+def share_shown(camera: CameraModel, pose: Pose, ground_down_m: float, radius_m: float) -> float:
+    """Share of the circle about the place below the vehicle that a picture shows."""
+    steps = np.linspace(-radius_m, radius_m, _STEPS)
+    offsets_m = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    circle_m = offsets_m[np.hypot(*offsets_m.T) <= radius_m] + pose.position_ned_m[:2]
+    pixels_px = ground_to_pixel(circle_m, camera, pose, ground_down_m)
+    size_px = np.array([camera.width_px, camera.height_px])
+    return float(((pixels_px >= 0.0) & (pixels_px <= size_px)).all(axis=-1).mean())
 
 
 def ground_side_m(

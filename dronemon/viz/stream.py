@@ -108,6 +108,10 @@ class FlightView:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def catch_up(self, timeout_s: float) -> None:
+        """Wait until what it was told is drawn, at the latest for this time; not in flight."""
+        self._queue.wait_empty(timeout_s)
+
     def close(self, timeout_s: float = 10.0) -> None:
         """Finish the recording and end the page; what is not written by then is dropped."""
         self._queue.close(timeout_s)

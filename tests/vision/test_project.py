@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dronemon.errors import CameraError
 from dronemon.frames import body_to_ned, ground_to_pixel, pixel_to_ground
 from dronemon.types import CameraModel, GimbalAttitude, Pose
-from dronemon.vision.project import interpolate_pose, on_gimbal
+from dronemon.vision.project import interpolate_pose, on_gimbal, share_shown
 
 ANGLES = st.floats(-math.pi, math.pi)
 
@@ -120,3 +120,21 @@ def test_what_looks_elsewhere_than_down_says_nothing(off_deg, is_down):
         return
     with pytest.raises(CameraError, match=f"looks {off_deg:.0f} degrees off straight down, 20 are"):
         on_gimbal(pose(1.0), looks, looks)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "pitch_deg", "share"),
+    [
+        (45.0, 0.0, 1.0),
+        (45.0, 12.0, 1.0),
+        (20.0, 0.0, 0.856),  # 15 m of 20 up and down: two segments of a circle are cut off
+        (35.0, 36.87, 0.5),  # the lower edge looks straight down
+        (45.0, 89.0, 0.0),
+        (1e-9, 0.0, 0.0),
+        (-3.0, 0.0, 0.0),
+    ],
+)
+def test_a_picture_shows_a_share_of_what_is_below(height_m, pitch_deg, share):
+    attitude = (0.0, math.radians(pitch_deg), 1.0)
+    taken = pose(0.0, (7.0, -4.0, -height_m), attitude=attitude)
+    assert share_shown(CAMERA, taken, 0.0, 20.0) == pytest.approx(share, abs=0.03)
