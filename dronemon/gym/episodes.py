@@ -1,6 +1,6 @@
 """Episodes of `dronemon.env.Env` with observations of a fixed shape, in Gymnasium's spaces.
 
-B episodes   V nodes, the start among them   K ways to go on from a node   N targets
+B: episodes; V: nodes, the start among them; K: ways to go on from a node; N: targets
 """
 
 from __future__ import annotations
@@ -75,7 +75,9 @@ class Episodes:
         self._num_ways = min(num_neighbours - 1, num_nodes) + MAX_ADDED_NEIGHBOURS
         self._num_targets = num_targets
         self.env = Env(num_neighbours=num_neighbours, num_threads=num_threads)
-        self.observation_space = self._spaces(num_nodes + 1, num_targets + int(prior == "none"))
+        self.observation_space: spaces.Space[Any] = self._spaces(
+            num_nodes + 1, num_targets + int(prior == "none")
+        )
         low, high = ARENA.bounds
         self.action_space: spaces.Space[Any] = (
             spaces.Discrete(self._num_ways)
@@ -141,7 +143,7 @@ class Episodes:
         low, high = ARENA.bounds.astype(np.float32)
         nodes_shape, ways_shape = (num_nodes, 2), (num_nodes, self._num_ways)
         belief_shape = (num_nodes, num_targets, 4)
-        least, most = (np.tile(np.float32(b), 2) for b in ((-_ANY, 0.0), (_ANY, 1.0)))  # mean, std
+        least, most = np.float32([[-_ANY, 0.0] * 2, [_ANY, 1.0] * 2])  # mean, std, later
         return spaces.Dict(
             {
                 "position_au": spaces.Box(low, high),

@@ -33,7 +33,10 @@ class Monitoring(gymnasium.Env[Shown, Any]):
     flown, and `area_std`, sigma_bar of each target at the leg's end.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 4}
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # of the class there, too
+        "render_modes": ["rgb_array"],
+        "render_fps": 4,
+    }
 
     def __init__(self, *, render_mode: str | None = None, **terms: Any) -> None:
         self.render_mode = render_mode
@@ -56,7 +59,7 @@ class Monitoring(gymnasium.Env[Shown, Any]):
         shown, rewards, told = self._episodes.step(actions)
         return _line(shown, 0), float(rewards[0]), False, False, told[0]
 
-    def render(self) -> ImageArray | None:  # type: ignore[override]  # Gymnasium leaves it open
+    def render(self) -> ImageArray | None:
         """North up: beliefs, targets where they truly are, the agent and what it sees."""
         return self._episodes.draw()[0] if self.render_mode == "rgb_array" else None
 
@@ -141,7 +144,7 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
     def _begin(
         self, seeds: Sequence[int | None], infos: dict[str, Any]
     ) -> tuple[Shown, dict[str, Any]]:
-        """Begin all episodes, with drawn seeds where none is given, and add what there is to tell."""
+        """Begin all episodes, with drawn seeds where none is given. -> observed, told besides."""
         begun = [
             drawn_seed(stream) if seed is None else seed
             for seed, stream in zip(seeds, self._streams, strict=True)

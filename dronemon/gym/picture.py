@@ -1,4 +1,4 @@
-"""Pictures of episodes for `render`: beliefs, the agent with what it sees, where the targets are."""
+"""Pictures of episodes for `render`: beliefs, the agent and what it sees, where targets are."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def draw(env: Env, seen: Observation, num_targets: int) -> list[ImageArray]:
     time_au = seen.length_au[:, None, None].expand(-1, len(cells), 1)
     query = torch.cat([cells.expand(len(time_au), -1, -1), time_au], dim=-1)
     posterior = fit(*env.observations()).predict(query[:, None])
-    mean, std = (x[:, :num_targets].unflatten(-1, (_CELLS, _CELLS)).numpy() for x in posterior)
+    mean, std = (
+        x[:, :num_targets].reshape(-1, num_targets, _CELLS, _CELLS).numpy() for x in posterior
+    )
     agents_au, targets_au = seen.position_au.numpy(), env.targets_au.numpy()
     return [
         _picture(mean[b], std[b], agents_au[b], targets_au[b, :num_targets])
