@@ -108,10 +108,10 @@ class Episodes:
         if isinstance(self.action_space, spaces.Box):
             step = self.env.step_to(torch.as_tensor(actions))
         else:
-            column = 1 + torch.as_tensor(actions) % self._seen.neighbour_mask.sum(1)
+            column = 1 + torch.as_tensor(actions, dtype=torch.int64) % self._seen.neighbour_mask.sum(1)
             step = self.env.step(self._seen.neighbours.gather(1, column[:, None])[:, 0])
         shown = self._show(step.observation)
-        area_std = step.area_std[:, : self._num_targets].numpy()
+        area_std = step.area_std[:, : self._num_targets].numpy().copy()
         legs_au = (step.observation.length_au - before_au).tolist()
         told = [
             {"area_std": std, "leg_au": leg} for std, leg in zip(area_std, legs_au, strict=True)
@@ -143,7 +143,8 @@ class Episodes:
         low, high = ARENA.bounds.astype(np.float32)
         nodes_shape, ways_shape = (num_nodes, 2), (num_nodes, self._num_ways)
         belief_shape = (num_nodes, num_targets, 4)
-        least, most = np.float32([[-_ANY, 0.0] * 2, [_ANY, 1.0] * 2])  # mean, std, later
+        # Mean and standard deviation now and later:
+        least, most = np.array([[-_ANY, 0.0] * 2, [_ANY, 1.0] * 2], dtype=np.float32)
         return spaces.Dict(
             {
                 "position_au": spaces.Box(low, high),
