@@ -1,8 +1,8 @@
 """PPO in one file on many episodes in step: `python examples/ppo.py --minutes 10 --out runs/ppo`.
 
-A small network on a small problem, so that two cores see it learn in minutes. Before and after it
-flies held-out seeds, from 10000 on, and tells mean and standard error. OUT gets `metrics.csv`,
-`policy.pt`, and TensorBoard's file where that is installed. After CleanRL's ppo.py.
+A small network on a small problem: two cores see it learn in minutes. Before and after it flies
+held-out seeds, from 10000 on. OUT gets `metrics.csv`, `policy.pt`, and TensorBoard's file where
+that is installed. After CleanRL's ppo.py.
 """
 
 import argparse
@@ -20,9 +20,8 @@ from torch.distributions import Categorical
 import dronemon.gym  # noqa: F401  # registers dronemon/Monitoring-v0
 
 METRICS = {
-    "update": "updates so far",
-    "minutes": "spent when the update was over",
-    "decisions": "taken in training so far, over all episodes",
+    "decisions": "taken in training so far, over all episodes; each update adds 2048",
+    "minutes": "spent in training so far",
     "return": "rewards summed over an episode's 64 decisions, mean over the update's 32 episodes",
     "unc": "sigma_bar, mean over targets and the way flown, in those episodes; lower is better",
     "policy_loss": "PPO's clipped objective, negated, mean over the update's minibatches",
@@ -30,11 +29,9 @@ METRICS = {
     "entropy": "of the policy, in nats, likewise",
 }
 NAME = "dronemon/Monitoring-v0"
-DECISIONS = 64  # of an episode, which is about 10 au long
-PROBLEM = {"num_targets": 3, "num_nodes": 50, "speed_ratio": 0.1, "max_episode_steps": DECISIONS}
+PROBLEM = {"num_targets": 3, "num_nodes": 50, "speed_ratio": 0.1, "max_episode_steps": 64}
 EPISODES, EPOCHS, MINIBATCHES, LEARNING_RATE, CLIP, ENTROPY_WEIGHT = 32, 4, 8, 1e-3, 0.2, 0.005
-DISCOUNT, LAMBDA, REWARD_SCALE = 0.98, 0.95, 10.0
-FIRST_HELD_OUT, FIRST_TRAINING = 10_000, 1_000_000
+DISCOUNT, LAMBDA, REWARD_SCALE, HELD_OUT_SEED, FIRST_SEED = 0.98, 0.95, 10.0, 10_000, 1_000_000
 
 
 class Policy(nn.Module):
@@ -69,7 +66,7 @@ class Policy(nn.Module):
 def fly(envs, policy, seen, greedy=False):
     """Play the episodes to their end. -> what came of them, (T, B, ...), and how the next begin."""
     rows = []
-    for _ in range(DECISIONS):
+    for _ in range(PROBLEM["max_episode_steps"]):
         chances, value = policy(seen)
         action = chances.probs.argmax(-1) if greedy else chances.sample()
         after, reward, _, _, infos = envs.step(action.numpy())  # all are truncated at once
@@ -109,44 +106,42 @@ def learn(policy, optimizer, flown):
             nn.utils.clip_grad_norm_(policy.parameters(), 0.5)
             optimizer.step()
             numbers.append([x.item() for x in (policy_loss, value_loss, entropy)])
-    return dict(zip(list(METRICS)[5:], np.mean(numbers, axis=0), strict=True))
+    return dict(zip(list(METRICS)[4:], np.mean(numbers, axis=0), strict=True))
 
 
 def train(minutes, out, seed=0, held_out=64):
     """Train and log. -> flights of held-out seeds before, drawing ways, and after, by the best."""
     torch.manual_seed(seed)
-    policy, update, spent = Policy(), 0, 0.0
+    policy, decisions, minutes_spent = Policy(), 0, 0.0
     optimizer = torch.optim.Adam(policy.parameters(), lr=LEARNING_RATE)
     envs, others = (gymnasium.make_vec(NAME, n, **PROBLEM) for n in (EPISODES, held_out))
-    before, _ = fly(others, policy, others.reset(seed=FIRST_HELD_OUT)[0])
-    seen, _ = envs.reset(seed=FIRST_TRAINING)
+    before, _ = fly(others, policy, others.reset(seed=HELD_OUT_SEED)[0])
+    seen, _ = envs.reset(seed=FIRST_SEED)
     out.mkdir(parents=True, exist_ok=True)
-    has_board = importlib.util.find_spec("tensorboard")
-    board = (
-        importlib.import_module("torch.utils.tensorboard").SummaryWriter(out) if has_board else 0
-    )
+    board = None
+    if importlib.util.find_spec("tensorboard"):
+        board = importlib.import_module("torch.utils.tensorboard").SummaryWriter(out)
     began_s = time.monotonic()
     with (out / "metrics.csv").open("w", 1, newline="") as file:
         log = csv.DictWriter(file, METRICS)
         log.writeheader()
-        while spent < minutes:
+        while minutes_spent < minutes:
             flown, seen = fly(envs, policy, seen)
             numbers = learn(policy, optimizer, flown)
             numbers |= {name: flown[name].mean().item() for name in ("return", "unc")}
-            update, spent = update + 1, (time.monotonic() - began_s) / 60.0
-            decisions = update * flown["action"].numel()
-            log.writerow(numbers | {"update": update, "minutes": spent, "decisions": decisions})
+            decisions += flown["action"].numel()
+            minutes_spent = (time.monotonic() - began_s) / 60.0
+            log.writerow(numbers | {"decisions": decisions, "minutes": minutes_spent})
             for name in numbers if board else ():
-                board.add_scalar(name, numbers[name], update)
+                board.add_scalar(name, numbers[name], decisions)
     torch.save(policy.state_dict(), out / "policy.pt")
-    return before, fly(others, policy, others.reset(seed=FIRST_HELD_OUT)[0], greedy=True)[0]
+    return before, fly(others, policy, others.reset(seed=HELD_OUT_SEED)[0], greedy=True)[0]
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--out", type=Path, default=Path("runs/ppo"))
-    parser.add_argument("--seed", type=int, default=0)
+    for name, default in {"minutes": 10.0, "out": Path("runs/ppo"), "seed": 0}.items():
+        parser.add_argument(f"--{name}", type=type(default), default=default)
     before, after = train(**vars(parser.parse_args()))
     for name in ("return", "unc"):
         scores = before[name], after[name], after[name] - before[name]
