@@ -138,7 +138,7 @@ def test_a_limit_truncates_and_nothing_terminates() -> None:
 def test_every_action_is_a_way_and_those_past_the_last_count_round() -> None:
     env = make()
     reached = []
-    for action in range(int(env.action_space.n)):  # type: ignore[attr-defined]
+    for action in range(int(env.action_space.n)):
         before, _ = env.reset(seed=10_003)
         reached.append(env.step(action)[0]["node"])
     count = int(before["neighbour_mask"].sum())
@@ -198,6 +198,8 @@ def test_what_cannot_be_asked_is_explained() -> None:
         envs.reset(seed=[1, 2, 3])
     with pytest.raises(OptionError, match="num_envs is 0"):
         make_vec(0)
+    with pytest.raises(OptionError, match="render_mode is 'human'"):
+        make_vec(2, render_mode="human")
     env.reset(seed=10_000)
     envs.reset(seed=10_000)
     for wrong in (-1, 99, 0.5):

@@ -51,9 +51,9 @@ def test_the_tables_say_what_is_observed_and_how_it_can_be_had() -> None:
     env = gymnasium.make(NAME, num_targets=5, num_nodes=7, num_neighbours=4)
     sizes = {"V": 8, "N": 5, "K": 7, "11": 11, "4": 4, "2": 2, "1": 1}
     told = re.findall(r"(?m)^\| `(\w+)` \| \(([^)]*)\) \| (\w+) \|", PAGE)
-    assert {name for name, _, _ in told} == set(env.observation_space.spaces)  # type: ignore[attr-defined]
+    assert {name for name, _, _ in told} == set(env.observation_space.spaces)
     for name, shape, dtype in told:
-        space = env.observation_space[name]  # type: ignore[index]
+        space = env.observation_space[name]
         assert space.shape == tuple(sizes[s] for s in re.findall(r"\w+", shape)), name
         assert str(space.dtype) == dtype, name
     terms = dict(re.findall(r"(?m)^\| `(\w+)` \| `?(\w[\w.]*)`? \| [^|]*\|$", PAGE))

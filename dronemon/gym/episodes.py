@@ -74,7 +74,7 @@ class Episodes:
         }
         self._num_ways = min(num_neighbours - 1, num_nodes) + MAX_ADDED_NEIGHBOURS
         self._num_targets = num_targets
-        self.env = Env(num_neighbours=num_neighbours, num_threads=num_threads)
+        self._env = Env(num_neighbours=num_neighbours, num_threads=num_threads)
         self.observation_space: spaces.Space[Any] = self._spaces(
             num_nodes + 1, num_targets + int(prior == "none")
         )
@@ -87,8 +87,8 @@ class Episodes:
 
     def begin(self, seeds: Sequence[int]) -> Shown:
         """Begin the episodes of some seeds: those that `Env` draws from the same ones."""
-        seen = self.env.reset([Setup(seed=seed, **self._terms) for seed in seeds])
-        graphs = self.env.graphs
+        seen = self._env.reset([Setup(seed=seed, **self._terms) for seed in seeds])
+        graphs = self._env.graphs
         self._nodes_au = graphs.coordinates.numpy()
         # Column 0 is the node itself.
         mask = graphs.neighbour_mask[:, :, 1:].numpy()
@@ -106,10 +106,10 @@ class Episodes:
         """
         before_au = self._seen.length_au
         if isinstance(self.action_space, spaces.Box):
-            step = self.env.step_to(torch.as_tensor(actions))
+            step = self._env.step_to(torch.as_tensor(actions))
         else:
-            column = 1 + torch.as_tensor(actions, dtype=torch.int64) % self._seen.neighbour_mask.sum(1)
-            step = self.env.step(self._seen.neighbours.gather(1, column[:, None])[:, 0])
+            ways = torch.as_tensor(actions, dtype=torch.int64) % self._seen.neighbour_mask.sum(1)
+            step = self._env.step(self._seen.neighbours.gather(1, 1 + ways[:, None])[:, 0])
         shown = self._show(step.observation)
         area_std = step.area_std[:, : self._num_targets].numpy().copy()
         legs_au = (step.observation.length_au - before_au).tolist()
@@ -120,7 +120,7 @@ class Episodes:
 
     def draw(self) -> list[ImageArray]:
         """A picture of each episode."""
-        return draw(self.env, self._seen, self._num_targets)
+        return draw(self._env, self._seen, self._num_targets)
 
     def _show(self, seen: Observation) -> Shown:
         """What is observed, in new arrays."""

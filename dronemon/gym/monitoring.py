@@ -39,7 +39,7 @@ class Monitoring(gymnasium.Env[Shown, Any]):
     }
 
     def __init__(self, *, render_mode: str | None = None, **terms: Any) -> None:
-        self.render_mode = render_mode
+        self.render_mode = _known(render_mode)
         self._episodes = Episodes(**terms)
         self.observation_space = self._episodes.observation_space
         self.action_space = self._episodes.action_space
@@ -89,7 +89,7 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
             raise OptionError(
                 f"num_envs is {num_envs}, max_episode_steps {max_episode_steps}; each is 1 or more"
             )
-        self.num_envs, self.render_mode = num_envs, render_mode
+        self.num_envs, self.render_mode = num_envs, _known(render_mode)
         self._episodes = Episodes(**terms)
         self.single_observation_space = self._episodes.observation_space
         self.single_action_space = self._episodes.action_space
@@ -173,6 +173,13 @@ def _checked(action: Any, space: gymnasium.Space[Any]) -> NDArray[Any]:
     return array
 
 
+def _known(render_mode: str | None) -> str | None:
+    """The same, if it is one. Raises OptionError."""
+    if render_mode not in (None, "rgb_array"):
+        raise OptionError(f"render_mode is {render_mode!r}; it can be None or 'rgb_array'")
+    return render_mode
+
+
 def _refuse(options: dict[str, Any] | None) -> None:
     if options:
         raise OptionError(f"reset knows no options, and was given {', '.join(map(repr, options))}")
@@ -180,7 +187,7 @@ def _refuse(options: dict[str, Any] | None) -> None:
 
 gymnasium.register(
     id=NAME,
-    entry_point=Monitoring,
-    vector_entry_point=MonitoringVector,
+    entry_point="dronemon.gym:Monitoring",
+    vector_entry_point="dronemon.gym:MonitoringVector",
     max_episode_steps=DECISIONS,
 )
