@@ -1,7 +1,8 @@
 """Many episodes at once: world, belief and roadmap in step, for learning and fast experiments.
 
-    reset(setups)  -> Observation   draw the instances; everyone stands at node 0
-    step(nodes)    -> Step          fly to a neighbouring node, measuring every 0.1 au on the way
+    reset(setups)      -> Observation   draw the instances; everyone stands at node 0
+    step(nodes)        -> Step          fly to a neighbouring node, measuring every 0.1 au flown
+    step_to(places_au) -> Step          fly to any place, likewise
 
 Source: paper, sections III and IV-A.
 """
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dronemon.arena import ARENA
 from dronemon.belief import ObservationStore, fit
 from dronemon.belief.metrics import area_std
 from dronemon.policy import Graphs, Tracks, belief_features, frame_points
@@ -46,7 +48,8 @@ class Observation:
     frames:         (B, V, N, 4) float32 mean and std at the nodes now, the same a little later
     target_mask:    (B, N)       bool    targets that are known of, and one imagined, the last,
                                          where the prior leaves open how many there are
-    node:           (B,)         int64   where the agent stands
+    position_au:    (B, 2)               where the agent is
+    node:           (B,)         int64   where it stands, or the nearest to it
     neighbours:     (B, K)       int64   nodes it may go to,
     neighbour_mask: (B, K)       bool    where true
     length_au:      (B,)                 flown so far, which is the time
@@ -55,6 +58,7 @@ class Observation:
 
     frames: Tensor
     target_mask: Tensor
+    position_au: Tensor
     node: Tensor
     neighbours: Tensor
     neighbour_mask: Tensor
@@ -122,8 +126,9 @@ class Env:
         self._known = (self._exists & is_counted) | (is_imagined & is_open[:, None])
         self._rows = torch.arange(batch, device=self._device)
         self._node, self._num_measured = (torch.zeros_like(self._rows) for _ in range(2))
+        self._position_au = self._nodes_au[:, 0]
         self._length_au = torch.zeros_like(self._speed_ratio)
-        targets_au = self._targets_at(self._length_au)
+        targets_au = self.targets_au
         self._store = ObservationStore(batch, num_targets, device=self._device)
         self._store.add_prior(self._exists & is_placed, targets_au)
         self._tracks = Tracks(batch, num_targets, device=self._device)
@@ -144,7 +149,27 @@ class Env:
                 f"episode {episode}: node {int(nodes[episode])} is no neighbour of node"
                 f" {int(self._node[episode])}; choose where neighbour_mask is true"
             )
-        self._fly(nodes)
+        return self._step(self._nodes_au[self._rows, nodes], nodes.clone())
+
+    def step_to(self, places_au: Tensor) -> Step:
+        """Fly straight to any place. places_au: (B, 2) -> what came of it.
+
+        No time passes where the agent is there already. Raises ValueError if a place is outside.
+        """
+        places_au = torch.clone(places_au).to(self._nodes_au)
+        if not (is_inside := ARENA.contains(places_au.cpu().numpy())).all():
+            episode = int(is_inside.argmin())
+            raise ValueError(
+                f"episode {episode}: {places_au[episode].tolist()} is outside the arena, which"
+                f" reaches from {ARENA.low_au} to {ARENA.high_au} au"
+            )
+        offset_au = self._nodes_au - places_au[:, None]
+        return self._step(places_au, torch.linalg.vector_norm(offset_au, dim=-1).argmin(dim=1))
+
+    def _step(self, goal_au: Tensor, nodes: Tensor) -> Step:
+        """Fly there, and be at these nodes then. goal_au: (B, 2); nodes: (B,)."""
+        self._fly(goal_au)
+        self._node = nodes
         before = self._area_std
         self._believe()
         return Step(
@@ -158,6 +183,11 @@ class Env:
         points, values, counts = self._store.window()
         return points, values, counts & self._known[..., None]
 
+    @property
+    def targets_au(self) -> Tensor:
+        """Where the targets truly are now. -> (B, N, 2) au, anything where there is none."""
+        return self._targets_at(self._length_au)
+
     def query(self) -> Tensor:
         """Where beliefs are looked at, the same for all targets. -> (B, 1, 2V, 3) au."""
         return frame_points(self._nodes_au, self._length_au)[:, None]
@@ -167,10 +197,10 @@ class Env:
         at = self._rows, self._node
         return self.graphs.neighbours[at], self.graphs.neighbour_mask[at]
 
-    def _fly(self, nodes: Tensor) -> None:
-        """Fly one leg and measure on it. nodes: (B,) where to."""
-        start_au = self._nodes_au[self._rows, self._node]
-        offset_au = self._nodes_au[self._rows, nodes] - start_au
+    def _fly(self, goal_au: Tensor) -> None:
+        """Fly one leg and measure on it. goal_au: (B, 2) where to."""
+        start_au = self._position_au
+        offset_au = goal_au - start_au
         leg_au = torch.linalg.vector_norm(offset_au, dim=-1)
         residual_au = self._length_au - MEASUREMENT_INTERVAL_AU * self._num_measured.double()
         count = num_due(residual_au, leg_au).long()
@@ -178,7 +208,7 @@ class Env:
             share = share_at(torch.full_like(leg_au, number), residual_au, leg_au)[:, None]
             time_au = (self._num_measured + number).double() * MEASUREMENT_INTERVAL_AU
             self._measure(time_au, start_au + share * offset_au, number <= count)
-        self._node = nodes.clone()
+        self._position_au = goal_au
         self._length_au = self._length_au + leg_au
         self._num_measured = self._num_measured + count
 
@@ -207,7 +237,7 @@ class Env:
     def _believe(self) -> None:
         """Condition the belief on what was measured, and judge it around the targets."""
         self._posterior = fit(*self.observations(), num_threads=self._num_threads)
-        targets_au = self._targets_at(self._length_au)
+        targets_au = self.targets_au
         time_au = self._length_au[:, None].expand(targets_au.shape[:-1])
         std = area_std(self._posterior, targets_au, time_au)
         self._area_std = torch.where(self._exists, std, torch.nan)
@@ -218,6 +248,7 @@ class Env:
         return Observation(
             frames=belief_features(*self._posterior.predict(self.query())),
             target_mask=self._known,
+            position_au=self._position_au,
             node=self._node,
             neighbours=neighbours,
             neighbour_mask=neighbour_mask,

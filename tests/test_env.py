@@ -211,6 +211,50 @@ def test_node_that_is_no_neighbour_is_refused():
             env.step(torch.tensor([allowed[0], node]))
 
 
+def test_flying_to_a_nodes_place_is_flying_to_the_node():
+    setups = [Setup(seed=10_020 + k, num_targets=2, num_nodes=30) for k in range(3)]
+    by_node, by_place = Env(), Env()
+    seen, _ = by_node.reset(setups), by_place.reset(setups)
+    rng = [np.random.default_rng(setup.seed) for setup in setups]
+    for _ in range(20):
+        nodes = random_nodes(seen, rng)
+        places_au = by_place._nodes_au[torch.arange(3), nodes]
+        kept = places_au.clone()
+        want, got = by_node.step(nodes), by_place.step_to(places_au)
+        assert torch.equal(places_au, kept)
+        places_au += 1.0  # the caller's tensor is the caller's
+        seen = want.observation
+        for name in ("frames", "node", "neighbours", "length_au", "tracks", "position_au"):
+            assert torch.equal(getattr(got.observation, name), getattr(seen, name)), name
+        assert torch.equal(got.reward, want.reward)
+
+
+def test_any_place_is_flown_to_straight_and_measured_on_the_way():
+    setup = Setup(seed=10_030, num_targets=2, num_nodes=30)
+    env, instance = Env(), Instance.draw(10_030, 2)
+    env.reset([setup])
+    sightings = Sightings(instance.paths.positions_au(0.0))
+    position, time, residual = instance.start_au, 0.0, 0.0
+    for goal in np.array([[0.9, 0.05], [0.9, 0.05], [0.0, 1.0], [0.51, 0.5]]):
+        leg = sample_leg(position, goal, residual)
+        for offset, place in zip(leg.offsets_au, leg.positions_au, strict=True):
+            targets_au = instance.paths.positions_au(0.1 * (time + offset))
+            sightings.add(measure(time + offset, place, targets_au))
+        time += float(np.linalg.norm(goal - position))
+        position, residual = goal, leg.residual_au
+        step = env.step_to(torch.as_tensor(goal)[None])
+        assert step.observation.length_au[0].item() == pytest.approx(time, abs=1e-9)
+        assert step.observation.position_au[0].tolist() == goal.tolist()
+        offset_au = env._nodes_au[0].numpy() - goal
+        assert step.observation.node[0] == np.linalg.norm(offset_au, axis=1).argmin()
+        truth_au = torch.as_tensor(instance.paths.positions_au(0.1 * time))
+        torch.testing.assert_close(env.targets_au[0], truth_au)
+        std = area_std(Belief(sightings).process, truth_au[None], torch.full((1, 2), time).double())
+        torch.testing.assert_close(step.area_std, std, rtol=0, atol=1e-8)
+    with pytest.raises(ValueError, match=r"episode 0: \[0.5, 1.2\] is outside the arena"):
+        env.step_to(torch.tensor([[0.5, 1.2]], dtype=torch.float64))
+
+
 @pytest.mark.gpu
 def test_device_is_near_the_processor():
     setups = [Setup(seed=10_010 + k, num_targets=3, num_nodes=80) for k in range(4)]

@@ -46,6 +46,7 @@ LAYERS = {
     "runner": 4,
     "training": 4,
     "evaluation": 4,
+    "gym": 4,
     "assembly": 5,
     "cli": 5,
     "flight_options": 1,
@@ -91,6 +92,7 @@ PLACES = {
     "pymavlink": {"vehicle"},
     "matplotlib": {"evaluation", "explain", "report"},
     "shapely": {"export"},
+    "gymnasium": {"gym"},
 }
 
 

@@ -15,6 +15,13 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from dronemon.arena import ARENA
 from dronemon.types import BoolArray, FloatArray, IntArray
 
+MAX_ADDED_NEIGHBOURS = 4
+"""Most edges that a node is given besides those to its nearest, of which there is at least one.
+
+Each is the shortest between some nodes and all others, so it belongs to the minimum spanning tree;
+edges of that meet at 60 degrees or more, so a node has five at most, and one leads to its nearest.
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Roadmap:

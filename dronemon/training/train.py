@@ -2,14 +2,14 @@
 
 A run is a folder. `state.pt` holds everything the next iteration depends on and is replaced after
 each, so a kill at any point costs at most the iteration under way; `recipe.yaml` is the recipe as
-used; `metrics.jsonl` holds a line per iteration; `best.pt` and `best.md` are the averaged weights
+used; `metrics.csv` holds a line per iteration; `best.pt` and `best.md` are the averaged weights
 with the lowest `val_unc` so far, and their card.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
+import csv
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -67,7 +67,9 @@ METRICS: dict[str, str] = {
     "val_reward": "paper's reward per decision, the same episodes",
     "val_lost": "share of targets with sigma_bar > 0.9, the same episodes",
 }
-"""Every number that training logs, and what it means."""
+"""Every number that training logs, and what it means; docs/training.md has the same table."""
+METRICS_FILE = "metrics.csv"
+"""Of a run: a column for each of these, empty where an iteration has no such number."""
 STATE_FORMAT = "dronemon training 3"
 SPENT_FILE, NOTE_INTERVAL_S = "spent_s", 2.0
 Listener = Callable[[float, Mapping[str, float]], None]
@@ -203,8 +205,11 @@ class _Training:
             if metrics["val_unc"] < run.best_unc:
                 run.best_unc = metrics["val_unc"]
                 self._keep()
-        with (folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(metrics) + "\n")
+        with (folder / METRICS_FILE).open("a", encoding="utf-8", newline="") as file:
+            log = csv.DictWriter(file, METRICS, lineterminator="\n")
+            if file.tell() == 0:
+                log.writeheader()
+            log.writerow(metrics)
             file.flush()
             os.fsync(file.fileno())
         state = {
@@ -256,7 +261,7 @@ class _Training:
         self._network.load_state_dict(state["weights"])
         self._learner.restore(state["learner"])
         run = _Run(**state["run"])
-        _forget_lines(path.with_name("metrics.jsonl"), run.iteration)
+        _forget_lines(path.with_name(METRICS_FILE), 1 + run.iteration)
         return run
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import json
+import csv
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -26,7 +27,7 @@ from dronemon.training.imitation import ExpertConfig
 from dronemon.training.peers import Peers
 from dronemon.training.ppo import PpoConfig
 from dronemon.training.recipe import Recipe, load_recipe
-from dronemon.training.train import METRICS, Plan, train
+from dronemon.training.train import METRICS, METRICS_FILE, Plan, train
 
 ALONE = Peers(device=torch.device("cpu"))
 SMALL = NetworkConfig(
@@ -89,6 +90,19 @@ def run(plan: Plan, iterations: int) -> None:
         train(plan, ALONE, command="test", listen=listen)
 
 
+def logged(folder: Path) -> list[dict[str, float]]:
+    """What a run logged of each iteration."""
+    with (folder / METRICS_FILE).open(newline="") as file:
+        rows = csv.DictReader(file)
+        assert rows.fieldnames == list(METRICS)
+        return [{name: float(x) for name, x in row.items() if x} for row in rows]
+
+
+def test_the_page_defines_every_number_that_is_logged() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "training.md").read_text()
+    assert re.findall(r"(?m)^\| `(\w+)` \| (.*) \|$", page) == list(METRICS.items())
+
+
 @pytest.fixture(scope="module")
 def first_iteration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that was stopped after its first iteration, to be copied."""
@@ -111,8 +125,9 @@ def test_several_recipes_are_trained_one_after_another_each_to_its_end(tmp_path:
         done = CliRunner().invoke(app, asked)
         assert done.exit_code == 0, done.output
         assert done.output.count("best weights: ") == 2
-        lines = [(tmp_path / "out" / n / "metrics.jsonl").read_text() for n in RECIPES]
-    assert all(line.count("val_unc") == 1 for line in lines)
+    for learner in RECIPES:
+        validated = ["val_unc" in row for row in logged(tmp_path / "out" / learner)]
+        assert validated == [False] * (len(validated) - 1) + [True]
 
 
 @pytest.mark.slow
@@ -129,15 +144,14 @@ def test_a_resumed_run_equals_one_that_was_never_interrupted(learner: str, tmp_p
     best, again = (load_checkpoint(f / "best.pt").network.state_dict() for f in (whole, parts))
     for name, value in best.items():
         torch.testing.assert_close(again[name], value, rtol=0.0, atol=0.0)
-    lines = (parts / "metrics.jsonl").read_text().splitlines()
-    assert [json.loads(line)["iteration"] for line in lines] == [1, 2]
+    assert [row["iteration"] for row in logged(parts)] == [1, 2]
 
 
 def test_the_expert_ends_with_ppo(tmp_path: Path) -> None:
     recipe = replace(RECIPES["expert"], settings=replace(EXPERT, imitation_share=0.0))
     plan = make_plan(tmp_path, recipe=recipe)
     run(plan, 1)
-    row = json.loads((tmp_path / "metrics.jsonl").read_text())
+    (row,) = logged(tmp_path)
     assert "kl" in row
     assert "imitation_loss" not in row
 
@@ -217,10 +231,8 @@ def test_a_run_survives_kill_9(start_program: StartProgram, tmp_path: Path) -> N
     after = read_tensors(tmp_path / "state.pt")["run"]
     assert after["iteration"] > before["iteration"]
     assert after["elapsed_s"] > max(spent_s, before["elapsed_s"])
-    lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
-    assert [json.loads(line)["iteration"] for line in lines] == [
-        i + 1 for i in range(after["iteration"])
-    ]
+    iterations = [row["iteration"] for row in logged(tmp_path)]
+    assert iterations == [i + 1 for i in range(after["iteration"])]
 
 
 def test_time_spent_in_an_iteration_that_was_killed_counts(
@@ -229,7 +241,7 @@ def test_time_spent_in_an_iteration_that_was_killed_counts(
     shutil.copytree(first_iteration, tmp_path, dirs_exist_ok=True)
     (tmp_path / "spent_s").write_text("5000.0\n")
     run(make_plan(tmp_path), 2)
-    rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    rows = logged(tmp_path)
     assert rows[0]["minutes"] < 60.0
     assert rows[1]["minutes"] > 5000.0 / 60.0
 
@@ -244,7 +256,7 @@ def test_a_budget_of_iterations_does_not_ask_the_clock(
     for _ in range(2):  # the second time nothing is left to do
         train(plan, ALONE, command="test", listen=lambda share, _: shares.append(share))
     assert shares == pytest.approx([2 / 3, 1.0])
-    rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    rows = logged(tmp_path)
     assert ["val_unc" in row for row in rows] == [True, False, True]
     assert rows[-1]["minutes"] > 5000.0 / 60.0
 
@@ -286,9 +298,6 @@ def test_two_processes_train_one_network_and_then_another(tmp_path: Path) -> Non
     command += ["--validation-episodes", "1"]
     assert subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 0
     runs = [tmp_path / "out" / path.stem for path in (recipe, tmp_path / "second.yaml")]
-    first, second = (
-        [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
-        for run in runs
-    )
+    first, second = (logged(run) for run in runs)
     assert [row["decisions"] for row in first] == [64, 64]
     assert [row["unc"] for row in second] == [row["unc"] for row in first]
