@@ -130,12 +130,10 @@ def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
     )
 
 
-def pixel_to_ground(
-    pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+def pixel_to_ray(
+    pixel_px: FloatArray, camera: CameraModel, attitude_rad: tuple[float, float, float]
 ) -> FloatArray:
-    """Where the rays of pixels meet the ground plane; NaN at or above the horizon.
-
-    pixel_px: (..., 2) u, v -> (..., 2) north, east in m.
+    """Where pixels look. pixel_px: (..., 2) u, v -> (..., 3) north, east, down, 1 along the axis.
 
     The camera's axes in the body frame: right of the picture = right, top of the picture = forward,
     optical axis = down.
@@ -143,9 +141,20 @@ def pixel_to_ground(
     pixel = np.asarray(pixel_px, dtype=np.float64)
     forward = (camera.height_px / 2.0 - pixel[..., 1]) / camera.focal_px
     right = (pixel[..., 0] - camera.width_px / 2.0) / camera.focal_px
-    ray_ned = (
-        np.stack([forward, right, np.ones_like(right)], axis=-1) @ body_to_ned(pose.attitude_rad).T
+    ray: FloatArray = (
+        np.stack([forward, right, np.ones_like(right)], axis=-1) @ body_to_ned(attitude_rad).T
     )
+    return ray
+
+
+def pixel_to_ground(
+    pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+) -> FloatArray:
+    """Where the rays of pixels meet the ground plane; NaN at or above the horizon.
+
+    pixel_px: (..., 2) u, v -> (..., 2) north, east in m.
+    """
+    ray_ned = pixel_to_ray(pixel_px, camera, pose.attitude_rad)
     height_m = ground_down_m - pose.position_ned_m[2]
     down = ray_ned[..., 2:]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -64,7 +64,8 @@ MEASURED = Measured(
     measurement=measurement(),
     score=np.array([0.9, np.nan]),
     pose=POSE,
-    error_m=1.5,
+    covariance_m2=np.array([[[0.3, 0.1], [0.1, 0.2]], np.full((2, 2), np.nan)]),
+    error_m=np.array([1.5, np.nan]),
     battery=0.5,
     battery_needed=0.1,
     stretch=STRETCH,
@@ -112,7 +113,13 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
         "battery_needed": 0.1,
         "stretch": asdict(STRETCH),
         "targets": {
-            "Bella": {"seen": True, "position_au": [0.3, 0.55], "score": 0.9, "error_m": 1.5},
+            "Bella": {
+                "seen": True,
+                "position_au": [0.3, 0.55],
+                "score": 0.9,
+                "error_m": 1.5,
+                "covariance_m2": [[0.3, 0.1], [0.1, 0.2]],
+            },
             "Zuri": {"seen": False, "position_au": None, "score": None},
         },
     }

@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +22,10 @@ from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vision.detector import look
-from dronemon.vision.observe import observe, sighting_error_m
+from dronemon.vision.ground_error import ground_covariance, radius_m, told_covariance
+from dronemon.vision.observe import observe
 from dronemon.vision.owners import NOBODY, Owners
-from dronemon.vision.project import interpolate_pose
+from dronemon.vision.project import interpolate_pose, turning
 
 BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while too few pictures say anything, ..."""
@@ -34,6 +36,14 @@ _ENOUGH, _NEWEST = 0.15, 0.2
 the newest picture's weight in it."""
 _MAX_PENDING = 8
 """Pictures that wait to be looked at; while there are so many, none is taken."""
+
+
+class _Shot(NamedTuple):
+    """A picture, where it was taken from, and how far off that may be: see `told_covariance`."""
+
+    picture: Picture
+    pose: Pose
+    told: FloatArray
 
 
 class Observer:
@@ -58,7 +68,7 @@ class Observer:
         self._battery = battery
         self._names = tuple(target.name for target in self._mission.targets)
         self._owners = Owners.of_mission(self._mission)
-        self._unseen: deque[tuple[Picture, Pose]] = deque()  # taken and not yet looked at
+        self._unseen: deque[_Shot] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
         self._freshness = Freshness()
         self._blind_since_s: float | None = None
@@ -120,7 +130,7 @@ class Observer:
             except CameraError as exc:
                 self._miss(exc)
             else:
-                self._unseen.append((picture, pose))
+                self._unseen.append(_Shot(picture, pose, self._told(poses, pose)))
                 work.set()
             finally:
                 self._is_taking = False
@@ -151,19 +161,20 @@ class Observer:
     async def look(self) -> None:
         """Look at the oldest picture taken. One that says nothing is told, and counts."""
         try:
-            await self._look(*self._unseen[0])
+            await self._look(self._unseen[0])
         except CameraError as exc:
             self._unseen.popleft()
             self._miss(exc)
 
-    async def _look(self, picture: Picture, pose: Pose) -> None:
-        tally = self.tally
+    async def _look(self, shot: _Shot) -> None:
+        tally, (picture, pose, _) = self.tally, shot
         assert tally is not None  # pictures are asked for only once the patrol has begun
         time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
         detect = partial(self._detect, picture, pose, time_au)
         detections, owners, measurement = await in_daemon_thread(
             detect, "the detector", CameraError, LOOK_LIMIT_S
         )
+        covariance_m2 = self._covariance_m2(shot, detections, owners)
         stretch, number = tally.stretch(picture.time_s), len(self.belief.sightings) + 1
         self._events.emit(
             Measured(
@@ -172,7 +183,8 @@ class Observer:
                 measurement=measurement,
                 score=self._scores(detections, owners),
                 pose=pose,
-                error_m=sighting_error_m(pose, self._frame, self._link.state.accuracy_m),
+                covariance_m2=covariance_m2,
+                error_m=radius_m(covariance_m2),
                 battery=self._link.state.battery,
                 battery_needed=self._battery.needed,
                 stretch=stretch,
@@ -214,6 +226,23 @@ class Observer:
             time_au=time_au,
         )
         return detections, owners, measurement
+
+    def _told(self, poses: tuple[Pose, Pose], pose: Pose) -> FloatArray:
+        """How far off is what tells the places in a picture that was taken between two poses."""
+        errors, state = self._mission.errors, self._link.state
+        accuracies_m = state.accuracy_m, state.height_accuracy_m
+        return told_covariance(errors, pose, turning(*poses), *accuracies_m)
+
+    def _covariance_m2(
+        self, shot: _Shot, detections: Sequence[Detection], owners: Sequence[int]
+    ) -> FloatArray:
+        """Of the place of each target found. -> (N, 2, 2), NaN where it was not."""
+        pixels_px = np.full((len(self._names), 2), np.nan)
+        for found, target in zip(detections, owners, strict=True):
+            if target != NOBODY:
+                pixels_px[target] = found.pixel_px
+        camera, ground_down_m = self._mission.camera.model, self._frame.ground_down_m
+        return ground_covariance(pixels_px, camera, shot.pose, ground_down_m, shot.told)
 
     def _scores(self, detections: Sequence[Detection], owners: Sequence[int]) -> FloatArray:
         """How surely each target was found. -> (N,), NaN where it was not."""

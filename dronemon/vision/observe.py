@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,25 +11,6 @@ from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
 from dronemon.types import CameraModel, Detection, Measurement, Pose
 from dronemon.vision.owners import NOBODY, Owners
-
-_TILT_RAD = math.radians(2.0)
-"""Of the camera against what the vehicle says of its attitude, its mounting included."""
-_LATE_S = 0.05
-"""Of the picture's time against the pose's."""
-_DEFAULT_ACCURACY_M = 2.0
-_WITHIN_95 = math.sqrt(-2.0 * math.log(0.05))
-"""Standard deviations along one axis in which 95 of 100 places lie, two axes being alike."""
-
-
-def sighting_error_m(pose: Pose, frame: AreaFrame, accuracy_m: float | None) -> float:
-    """Radius about a place seen in which the target truly is, in 95 pictures of 100.
-
-    From the vehicle's own place, tilt and time alone; where the detector errs is not in it.
-    accuracy_m: standard deviation of the vehicle's place along one axis, None where it does not say
-    """
-    place_m = _WITHIN_95 * (_DEFAULT_ACCURACY_M if accuracy_m is None else accuracy_m)
-    tilt_m = frame.height_m(pose.position_ned_m[2]) * math.tan(_TILT_RAD)
-    return math.hypot(place_m, tilt_m, pose.ground_speed_m_s * _LATE_S)
 
 
 def observe(

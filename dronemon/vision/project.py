@@ -33,6 +33,14 @@ def interpolate_pose(before: Pose, after: Pose, time_s: float) -> Pose:
     )
 
 
+def turning(before: Pose, after: Pose) -> Vector3:
+    """How fast roll, pitch and yaw change between two poses, in rad/s; 0 where no time passes."""
+    passed_s = after.time_s - before.time_s
+    if passed_s <= 0.0:
+        return 0.0, 0.0, 0.0
+    return _vector(_wrapped(np.subtract(after.attitude_rad, before.attitude_rad)) / passed_s)
+
+
 def _moved(pose: Pose, time_s: float) -> Pose:
     step_m = np.multiply(pose.velocity_ned_m_s, time_s - pose.time_s)
     position = _vector(np.add(pose.position_ned_m, step_m))

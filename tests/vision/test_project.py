@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dronemon.types import Pose
-from dronemon.vision.project import interpolate_pose
+from dronemon.vision.project import interpolate_pose, turning
 
 ANGLES = st.floats(-math.pi, math.pi)
 
@@ -62,3 +62,9 @@ def test_nearer_pose_moves_on_outside_the_interval(time_s, north_m):
 def test_two_messages_of_the_same_instant_are_no_problem():
     same = pose(1.0, (1.0, 2.0, 3.0))
     assert interpolate_pose(same, same, 1.0) == same
+
+
+def test_turning_goes_the_shorter_way_and_is_none_where_no_time_passes():
+    before, after = pose(1.0, attitude=(0.1, 0.0, 3.1)), pose(1.5, attitude=(0.2, 0.0, -3.1))
+    assert turning(before, after) == pytest.approx((0.2, 0.0, 2.0 * (math.tau - 6.2)))
+    assert turning(before, before) == (0.0, 0.0, 0.0)
