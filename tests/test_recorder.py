@@ -109,6 +109,7 @@ def test_everything_recorded_is_read_back(tmp_path: Path) -> None:
         "wall": observation["wall"],
         "time_au": 0.1,
         "agent_au": [0.25, 0.5],
+        "view_au": 0.1,
         "battery": 0.5,
         "battery_needed": 0.1,
         "stretch": asdict(STRETCH),

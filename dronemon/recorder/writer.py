@@ -190,6 +190,7 @@ class RunRecorder:
             "wall": self._wall(event.time_s),
             "time_au": measurement.time_au,
             "agent_au": measurement.agent_au,
+            "view_au": measurement.view_au,
             "battery": event.battery,
             "battery_needed": event.battery_needed,
             "stretch": asdict(event.stretch),

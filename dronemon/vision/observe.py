@@ -11,6 +11,7 @@ from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
 from dronemon.types import CameraModel, Detection, Measurement, Pose
 from dronemon.vision.owners import NOBODY, Owners
+from dronemon.vision.project import shown_radius_m
 
 
 def observe(
@@ -26,7 +27,8 @@ def observe(
     """One observation of every target, and which of them each find is, or `NOBODY`.
 
     A target is seen if it was found less than SENSOR_RADIUS_AU from the vehicle, over ground; what
-    the picture shows beyond does not count.
+    the picture shows beyond does not count. Where a tilt turns some of that out of the picture, it
+    counts as looked at only as far as the picture shows it to all sides.
     sightings: what was seen before
     Source: paper, equation 1.
     """
@@ -49,5 +51,12 @@ def observe(
     for find, target in zip(near, own, strict=True):
         if target != NOBODY:
             whose[find], seen[target], target_au[target] = target, True, places_au[find]
-    measurement = Measurement(time_au=time_au, agent_au=agent_au, seen=seen, target_au=target_au)
+    shown_au = shown_radius_m(camera, pose, frame.ground_down_m) / frame.side_m
+    measurement = Measurement(
+        time_au=time_au,
+        agent_au=agent_au,
+        seen=seen,
+        target_au=target_au,
+        view_au=min(shown_au, SENSOR_RADIUS_AU),
+    )
     return measurement, whose

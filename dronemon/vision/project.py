@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from dronemon.frames import pixel_to_ground
+from dronemon.frames import body_to_ned, pixel_to_ground
 from dronemon.types import CameraModel, FloatArray, Pose, Vector3
 
 
@@ -60,6 +60,19 @@ def _wrapped(angles_rad: FloatArray) -> FloatArray:
 def _vector(values: FloatArray) -> Vector3:
     x, y, z = (float(v) for v in values)
     return x, y, z
+
+
+def shown_radius_m(camera: CameraModel, pose: Pose, ground_down_m: float) -> float:
+    """Radius about the point below the vehicle in which a picture shows all the ground."""
+    across = camera.width_px / 2.0 / camera.focal_px
+    along = camera.height_px / 2.0 / camera.focal_px
+    # Normals, to the inside, of the planes through the lens and an edge: forward, right, down.
+    on_body = np.array([[0, 1, across], [0, -1, across], [1, 0, along], [-1, 0, along]])
+    normals = on_body @ body_to_ned(pose.attitude_rad).T
+    height_m = ground_down_m - pose.position_ned_m[2]
+    with np.errstate(divide="ignore"):
+        away_m = height_m * normals[:, 2] / np.hypot(normals[:, 0], normals[:, 1])
+    return max(0.0, float(away_m.min()))
 
 
 def ground_side_m(

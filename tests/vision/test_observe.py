@@ -84,6 +84,19 @@ def test_higher_score_wins_and_only_inside_the_circle(order):
     np.testing.assert_allclose(seen.target_au[0], (0.35, 0.80))
 
 
+@pytest.mark.parametrize(
+    ("pitch_deg", "view_au"),
+    [(0.0, 0.1), (7.0, 0.1), (12.0, 35.0 * math.tan(math.radians(24.87)) / 200.0), (40.0, 0.0)],
+)
+def test_only_what_a_tilt_leaves_in_the_picture_was_looked_at(pitch_deg, view_au):
+    """Up and down the picture it looks 36.87 degrees to either side."""
+    pose = pose_over(AGENT_AU, attitude=(0.0, math.radians(pitch_deg), 1.0))
+    seen = observe_over([detection("cow", AGENT_AU + 0.01, pose)], pose)
+    assert seen.view_au == pytest.approx(view_au, abs=1e-5)
+    assert seen.view_au <= 0.1
+    assert seen.seen.tolist() == [True, False, False]
+
+
 def test_nothing_found_and_nobody_asked_for():
     pose = pose_over(AGENT_AU)
     seen = observe_over([detection("tiger", (0.3, 0.8), pose)], pose)

@@ -2,13 +2,16 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dronemon.types import Pose
-from dronemon.vision.project import interpolate_pose, turning
+from dronemon.frames import ground_to_pixel
+from dronemon.types import CameraModel, Pose
+from dronemon.vision.project import interpolate_pose, shown_radius_m, turning
 
+CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 ANGLES = st.floats(-math.pi, math.pi)
 
 
@@ -68,3 +71,26 @@ def test_turning_goes_the_shorter_way_and_is_none_where_no_time_passes():
     before, after = pose(1.0, attitude=(0.1, 0.0, 3.1)), pose(1.5, attitude=(0.2, 0.0, -3.1))
     assert turning(before, after) == pytest.approx((0.2, 0.0, 2.0 * (math.tau - 6.2)))
     assert turning(before, before) == (0.0, 0.0, 0.0)
+
+
+def shows(at: Pose, radius_m: float) -> bool:
+    """Whether a picture shows all of a circle on the ground about the point below."""
+    bearings = np.linspace(0.0, math.tau, 2000)
+    circle_m = radius_m * np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+    pixels_px = ground_to_pixel(circle_m + at.position_ned_m[:2], CAMERA, at, 2.0)
+    return bool(((pixels_px >= 0.0) & (pixels_px <= (640.0, 480.0))).all())  # NaN is not
+
+
+@given(roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), yaw=ANGLES)
+def test_a_picture_shows_the_ground_up_to_its_radius_and_no_farther(roll, pitch, yaw):
+    at = pose(0.0, (7.0, -3.0, -38.0), attitude=(roll, pitch, yaw))
+    radius_m = shown_radius_m(CAMERA, at, 2.0)
+    assert radius_m == 0.0 or shows(at, 0.999 * radius_m)
+    assert not shows(at, 1.002 * radius_m + 1e-3)
+
+
+def test_what_a_level_picture_shows_and_one_that_does_not_show_what_is_below():
+    level = pose(0.0, (0.0, 0.0, -38.0))
+    assert shown_radius_m(CAMERA, level, 2.0) == pytest.approx(40.0 * 240.0 / 320.0)
+    for turned in ((0.8, 0.0, 0.0), (0.0, -0.7, 1.0), (math.pi, 0.0, 0.0), (1.6, 0.0, 0.0)):
+        assert shown_radius_m(CAMERA, pose(0.0, (0.0, 0.0, -38.0), attitude=turned), 2.0) == 0.0
