@@ -26,6 +26,7 @@ from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import APPEARANCES, CameraModel, FloatArray, Pose, Vector3
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.ground_error import ground_covariance, told_covariance
+from dronemon.vision.surface import Plane
 from sim.renderer import Renderer
 
 ERRORS = PlaceErrors()
@@ -109,7 +110,7 @@ def covers(setting: Setting, rng: np.random.Generator) -> bool:
     pose = believed(true, turns, errors, rng)
     told = told_covariance(errors, pose, turns, None, None)
     place_m = pixel_to_ground(pixel_px, CAMERA, pose, 0.0)
-    return is_inside(target_m, place_m, ground_covariance(pixel_px, CAMERA, pose, 0.0, told))
+    return is_inside(target_m, place_m, ground_covariance(pixel_px, CAMERA, pose, Plane(0.0), told))
 
 
 def drawn_animals(rng: np.random.Generator, num: int, seed: int) -> Iterator[tuple[float, bool]]:
@@ -133,7 +134,7 @@ def drawn_animals(rng: np.random.Generator, num: int, seed: int) -> Iterator[tup
             pixel_px = np.array(find.pixel_px)
             off_px = pixel_px - ground_to_pixel(true_m, CAMERA, scene.pose, down_m)
             place_m = pixel_to_ground(pixel_px, CAMERA, pose, down_m)
-            covariance_m2 = ground_covariance(pixel_px, CAMERA, pose, down_m, told)
+            covariance_m2 = ground_covariance(pixel_px, CAMERA, pose, Plane(down_m), told)
             yield float((off_px**2).mean()), is_inside(true_m, place_m, covariance_m2)
 
 

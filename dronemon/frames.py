@@ -118,6 +118,20 @@ def ned_to_geo(position_ned_m: Sequence[float] | FloatArray, origin: GeoPoint) -
     )
 
 
+def ned_to_degrees(place_ned_m: FloatArray, origin: GeoPoint) -> FloatArray:
+    """Where local places are on the globe. place_ned_m: (..., 2) m -> (..., 2) deg lat, lon."""
+    place = np.asarray(place_ned_m, dtype=np.float64)
+    latitude, longitude, _ = pymap3d.ned2geodetic(
+        place[..., 0],
+        place[..., 1],
+        np.zeros(place.shape[:-1]),
+        origin.latitude_deg,
+        origin.longitude_deg,
+        origin.altitude_m,
+    )
+    return np.stack([latitude, longitude], axis=-1)
+
+
 def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
     """Rotation matrix from (forward, right, down) to (north, east, down). -> (3, 3)."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in attitude_rad)

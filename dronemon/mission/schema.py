@@ -46,6 +46,8 @@ class Area(Section):
     """Latitude of the centre; home if absent."""
     longitude_deg: float | None = Field(None, ge=-180.0, le=180.0)
     """Longitude of the centre; home if absent."""
+    terrain: str | None = None
+    """Heights of the ground, an ESRI ASCII grid in WGS 84 degrees (.asc); flat if absent."""
 
     @model_validator(mode="after")
     def _both_or_neither(self) -> Area:

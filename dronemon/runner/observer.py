@@ -17,6 +17,7 @@ from dronemon.events import Believed, EventStream, Measured, Pictured
 from dronemon.frames import AreaFrame
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.ground import surface_of
 from dronemon.runner.preparation import LOOK_LIMIT_S, FlightSetup, make_belief
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
@@ -26,6 +27,7 @@ from dronemon.vision.ground_error import ground_covariance, radius_m, told_covar
 from dronemon.vision.observe import observe
 from dronemon.vision.owners import NOBODY, Owners
 from dronemon.vision.project import interpolate_pose, turning
+from dronemon.vision.surface import down_below_m
 
 BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while too few pictures say anything, ..."""
@@ -65,6 +67,7 @@ class Observer:
         self._link = setup.link
         self._events = events
         self._frame = frame
+        self._surface = surface_of(self._mission, frame, self._link.state)
         self._battery = battery
         self._names = tuple(target.name for target in self._mission.targets)
         self._owners = Owners.of_mission(self._mission)
@@ -214,13 +217,14 @@ class Observer:
         self, picture: Picture, pose: Pose, time_au: float
     ) -> tuple[tuple[Detection, ...], list[int], Measurement]:
         """What the detector finds, whose each is, and what that says of targets. In a thread."""
-        ground_down_m = self._frame.ground_down_m
-        detections = look(self._setup.detector, picture.image, pose, ground_down_m)
+        below_m = down_below_m(self._surface, pose)
+        detections = look(self._setup.detector, picture.image, pose, below_m)
         measurement, owners = observe(
             detections,
             pose=pose,
             camera=self._mission.camera.model,
             frame=self._frame,
+            surface=self._surface,
             owners=self._owners,
             sightings=self.belief.sightings,
             time_au=time_au,
@@ -241,8 +245,8 @@ class Observer:
         for found, target in zip(detections, owners, strict=True):
             if target != NOBODY:
                 pixels_px[target] = found.pixel_px
-        camera, ground_down_m = self._mission.camera.model, self._frame.ground_down_m
-        return ground_covariance(pixels_px, camera, shot.pose, ground_down_m, shot.told)
+        camera = self._mission.camera.model
+        return ground_covariance(pixels_px, camera, shot.pose, self._surface, shot.told)
 
     def _scores(self, detections: Sequence[Detection], owners: Sequence[int]) -> FloatArray:
         """How surely each target was found. -> (N,), NaN where it was not."""

@@ -1,7 +1,7 @@
 """How far off the place of a pixel on the ground is, from how far off is what tells it.
 
 Errors are passed on to first order: a place has the covariance J S J^T, where J is the derivative
-of `frames.pixel_to_ground` and S the covariance of what that is told. Rows of S, columns of J:
+of `Surface.places` and S the covariance of what that is told. Rows of S, columns of J:
 
     0-2  north, east, height over the ground of the vehicle     m
     3-5  roll, pitch, yaw of the camera                         rad
@@ -20,6 +20,7 @@ import numpy as np
 from dronemon.frames import body_to_ned, pixel_to_ray
 from dronemon.mission.camera import PlaceErrors
 from dronemon.types import CameraModel, FloatArray, Pose, Vector3
+from dronemon.vision.surface import Surface
 
 _WITHIN_95 = math.sqrt(-2.0 * math.log(0.05))
 """Standard deviations of an ellipse that holds 95 of 100 places."""
@@ -51,7 +52,7 @@ def told_covariance(
 
 
 def ground_covariance(
-    pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float, told: FloatArray
+    pixel_px: FloatArray, camera: CameraModel, pose: Pose, surface: Surface, told: FloatArray
 ) -> FloatArray:
     """Covariance of the places of pixels on the ground; NaN at or above the horizon.
 
@@ -59,13 +60,13 @@ def ground_covariance(
     told:     (9, 9) of what tells them, `told_covariance`
     -> (..., 2, 2) m^2, north and east
     """
-    jacobian = ground_jacobian(pixel_px, camera, pose, ground_down_m)
+    jacobian = ground_jacobian(pixel_px, camera, pose, surface)
     covariance: FloatArray = jacobian @ told @ jacobian.swapaxes(-1, -2)
     return covariance
 
 
 def ground_jacobian(
-    pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+    pixel_px: FloatArray, camera: CameraModel, pose: Pose, surface: Surface
 ) -> FloatArray:
     """J: how the places of pixels on the ground change with what tells them; NaN as the places.
 
@@ -87,13 +88,18 @@ def ground_jacobian(
         np.broadcast_to(-rotation[:, 0] / camera.focal_px, ray.shape),
     ]
     by_ray = np.stack([*turns, *lens], axis=-1)  # (..., 3, 6)
-    # place = vehicle + height * ray[:2] / ray[2]
-    reach = ray[..., :2] / ray[..., 2:]
-    height_m = ground_down_m - pose.position_ned_m[2]
+    # On flat ground: place = vehicle + height * ray[:2] / ray[2]
+    place_m, reach = surface.places(pixel_px, camera, pose), ray[..., :2] / ray[..., 2:]
+    height_m = surface.down_m(place_m) - pose.position_ned_m[2]
     moved = by_ray[..., :2, :] - reach[..., None] * by_ray[..., 2:, :]
-    moved *= height_m / ray[..., 2, None, None]
+    moved *= (height_m / ray[..., 2])[..., None, None]
     with_vehicle = np.broadcast_to(np.eye(2), (*reach.shape, 2))
-    return np.concatenate([with_vehicle, reach[..., None], moved], axis=-1)
+    flat = np.concatenate([with_vehicle, reach[..., None], moved], axis=-1)
+    # On a slope s the ground is down by s . d after a step d: on along the ray until it is met.
+    slope = surface.slope(place_m)
+    met = reach / (1.0 - (slope * reach).sum(axis=-1, keepdims=True))
+    jacobian: FloatArray = flat + met[..., None] * (slope[..., None, :] @ flat)
+    return jacobian
 
 
 def radius_m(covariance_m2: FloatArray) -> FloatArray:

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dronemon.frames import AreaFrame, pixel_to_ground
+from dronemon.frames import AreaFrame
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
 from dronemon.types import CameraModel, Detection, Measurement, Pose
 from dronemon.vision.owners import NOBODY, Owners
 from dronemon.vision.project import shown_radius_m
+from dronemon.vision.surface import Surface, down_below_m
 
 
 def observe(
@@ -20,6 +21,7 @@ def observe(
     pose: Pose,
     camera: CameraModel,
     frame: AreaFrame,
+    surface: Surface,
     owners: Owners,
     sightings: Sightings,
     time_au: float,
@@ -34,7 +36,7 @@ def observe(
     """
     agent_au = frame.ned_to_au(np.array(pose.position_ned_m))
     pixels_px = np.array([d.pixel_px for d in detections]).reshape(-1, 2)
-    places_au = frame.ned_to_au(pixel_to_ground(pixels_px, camera, pose, frame.ground_down_m))
+    places_au = frame.ned_to_au(surface.places(pixels_px, camera, pose))
     away_au = np.linalg.norm(places_au - agent_au, axis=-1)
     near = np.flatnonzero(away_au < SENSOR_RADIUS_AU).tolist()
     own = owners.of(
@@ -51,7 +53,7 @@ def observe(
     for find, target in zip(near, own, strict=True):
         if target != NOBODY:
             whose[find], seen[target], target_au[target] = target, True, places_au[find]
-    shown_au = shown_radius_m(camera, pose, frame.ground_down_m) / frame.side_m
+    shown_au = shown_radius_m(camera, pose, down_below_m(surface, pose)) / frame.side_m
     measurement = Measurement(
         time_au=time_au,
         agent_au=agent_au,

@@ -19,9 +19,11 @@ from dronemon.vision.ground_error import (
     radius_m,
     told_covariance,
 )
+from dronemon.vision.surface import Plane
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.radians(90))
 GROUND_DOWN_M = 1.5
+GROUND = Plane(GROUND_DOWN_M)
 NO_ERRORS = dict.fromkeys(PlaceErrors.model_fields, 0.0)
 tilts = st.floats(-0.5, 0.5)
 
@@ -38,7 +40,7 @@ def pose_at(height_m=40.0, attitude=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
 def covariance(pose, at_px=(320.0, 240.0), turn=(0.0, 0.0, 0.0), told=(None, None), **errors):
     """With these errors alone."""
     s = told_covariance(PlaceErrors(**NO_ERRORS | errors), pose, turn, *told)
-    return ground_covariance(np.array(at_px), CAMERA, pose, GROUND_DOWN_M, s)
+    return ground_covariance(np.array(at_px), CAMERA, pose, GROUND, s)
 
 
 def place(told, pixel_px, pose):
@@ -65,7 +67,7 @@ def place(told, pixel_px, pose):
 )
 def test_the_jacobian_is_that_of_central_differences(u, v, height_m, roll, pitch, yaw):
     pixel_px, pose = np.array([u, v]), pose_at(height_m, (roll, pitch, yaw))
-    jacobian = ground_jacobian(pixel_px, CAMERA, pose, GROUND_DOWN_M)
+    jacobian = ground_jacobian(pixel_px, CAMERA, pose, GROUND)
     if np.linalg.norm(place(np.zeros(9), pixel_px, pose) - (10.0, -20.0)) > 5.0 * height_m:
         return  # so near to the horizon that the differences themselves are off
     for column in range(9):
@@ -79,10 +81,10 @@ def test_the_jacobian_is_that_of_central_differences(u, v, height_m, roll, pitch
 def test_many_pixels_are_as_each_alone_and_those_above_the_horizon_are_nowhere():
     pose = pose_at(attitude=(0.3, 0.4, 1.0))
     pixels_px = np.array([[[10.0, 20.0], [600.0, 300.0]], [[320.0, 240.0], [np.nan, np.nan]]])
-    together = ground_jacobian(pixels_px, CAMERA, pose, GROUND_DOWN_M)
+    together = ground_jacobian(pixels_px, CAMERA, pose, GROUND)
     assert together.shape == (2, 2, 2, 9)
     for index in np.ndindex(2, 2):
-        alone = ground_jacobian(pixels_px[index], CAMERA, pose, GROUND_DOWN_M)
+        alone = ground_jacobian(pixels_px[index], CAMERA, pose, GROUND)
         np.testing.assert_allclose(together[index], alone)
     assert np.isnan(covariance(pose_at(attitude=(1.5, 0.0, 0.0)), (0.0, 240.0))).all()
 

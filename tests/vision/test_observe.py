@@ -11,6 +11,7 @@ from dronemon.types import APPEARANCES, CameraModel, Detection, Pose
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.observe import observe
 from dronemon.vision.owners import Owners
+from dronemon.vision.surface import Plane
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 
@@ -47,6 +48,7 @@ def observe_over(detections, pose, appearances=("cow", "fox", "zebra")):
         pose=pose,
         camera=CAMERA,
         frame=FRAME,
+        surface=Plane(FRAME.ground_down_m),
         owners=Owners(appearances),
         sightings=Sightings(np.full((len(appearances), 2), np.nan)),
         time_au=4.5,
@@ -142,6 +144,7 @@ def test_rendered_animals_are_observed_where_they_are(heading_rad):
         pose=pose,
         camera=CAMERA,
         frame=frame,
+        surface=Plane(0.0),
         owners=Owners(tuple(truth_au)),
         sightings=Sightings(np.full((3, 2), np.nan)),
         time_au=0.1,
