@@ -328,7 +328,7 @@ class ParticleBelief:
         first = max(0, self._num_learned - _MOST_MISSES)
         recent = sightings.since(first)[: self._num_learned - first]
         misses = [
-            _Miss(m.time_au, *m.agent_au.tolist(), m.view_au)
+            _Miss(m.time_au, float(m.agent_au[0]), float(m.agent_au[1]), m.view_au)
             for m in recent
             if m.time_au > sight.time_au + 1e-9
         ]

@@ -96,8 +96,8 @@ class Roster:
         """What the sensor says of those known, whom the ones seen now for the first time join."""
         seen = np.flatnonzero(truth.seen).tolist()
         self.known += [target for target in seen if target not in self.known]
-        seen, target_au = truth.seen[self.known], truth.target_au[self.known]
-        return replace(truth, seen=seen, target_au=target_au)
+        known = self.known
+        return replace(truth, seen=truth.seen[known], target_au=truth.target_au[known])
 
 
 def measure(time_au: float, agent_au: FloatArray, targets_au: FloatArray) -> Measurement:
