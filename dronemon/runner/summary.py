@@ -227,7 +227,7 @@ def how_flown(values: Mapping[str, Any]) -> dict[str, str]:
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")
     show("pictures", "{} of {}, {:.2f} m apart", "pictures", "pictures_due", "picture_spacing_m")
     if values.get("pictures_cut"):
-        show("tilted", "{} pictures do not show all of the sensor's circle", "pictures_cut")
+        show("pictures cut by a tilt", "{}", "pictures_cut")
     show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")
     return table
 
