@@ -126,8 +126,8 @@ class Measurement:
 
     time_au: mission time; agent_au: (2,) agent's position; seen: (N,) bool; target_au: (N, 2)
     position of each target seen, NaN
-    where it was not; view_au: radius about the agent in which all ground was looked at, the whole
-    sensor's but where a tilt takes some of it out of the picture: what is unseen is not there.
+    where it was not; view_au: radius about the agent in which a target that is not seen is not: the
+    sensor's, or less where a tilt takes ground out of the picture.
     Source: paper, equation 1.
     """
 

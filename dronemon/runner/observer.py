@@ -173,11 +173,10 @@ class Observer:
         tally, (picture, pose, _) = self.tally, shot
         assert tally is not None  # pictures are asked for only once the patrol has begun
         time_au = self._frame.s_to_au(picture.time_s - tally.start_s)
-        detect = partial(self._detect, picture, pose, time_au)
-        detections, owners, measurement = await in_daemon_thread(
+        detect = partial(self._detect, shot, time_au)
+        detections, owners, measurement, covariance_m2 = await in_daemon_thread(
             detect, "the detector", CameraError, LOOK_LIMIT_S
         )
-        covariance_m2 = self._covariance_m2(shot, detections, owners)
         stretch, number = tally.stretch(picture.time_s), len(self.belief.sightings) + 1
         self._events.emit(
             Measured(
@@ -214,9 +213,13 @@ class Observer:
         )
 
     def _detect(
-        self, picture: Picture, pose: Pose, time_au: float
-    ) -> tuple[tuple[Detection, ...], list[int], Measurement]:
-        """What the detector finds, whose each is, and what that says of targets. In a thread."""
+        self, shot: _Shot, time_au: float
+    ) -> tuple[tuple[Detection, ...], list[int], Measurement, FloatArray]:
+        """What the detector finds, whose each is, and what that says of targets. In a thread.
+
+        With it the covariance of each target's place, (N, 2, 2), NaN where it was not found.
+        """
+        picture, pose, _ = shot
         below_m = down_below_m(self._surface, pose)
         detections = look(self._setup.detector, picture.image, pose, below_m)
         measurement, owners = observe(
@@ -229,7 +232,7 @@ class Observer:
             sightings=self.belief.sightings,
             time_au=time_au,
         )
-        return detections, owners, measurement
+        return detections, owners, measurement, self._covariance_m2(shot, detections, owners)
 
     def _told(self, poses: tuple[Pose, Pose], pose: Pose) -> FloatArray:
         """How far off is what tells the places in a picture that was taken between two poses."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
 
+from dronemon.errors import CameraError
 from dronemon.frames import pixel_to_ground
 from dronemon.types import CameraModel, FloatArray, Pose
 
@@ -27,8 +29,15 @@ class Surface(Protocol):
 
 
 def down_below_m(surface: Surface, pose: Pose) -> float:
-    """Down coordinate of the ground below a vehicle."""
-    return float(surface.down_m(np.array(pose.position_ned_m[:2])))
+    """Down coordinate of the ground below a vehicle. Raises CameraError where it is not known."""
+    down_m = float(surface.down_m(np.array(pose.position_ned_m[:2])))
+    if not math.isfinite(down_m):
+        north_m, east_m, _ = pose.position_ned_m
+        raise CameraError(
+            f"the terrain has no height below the drone, {north_m:.0f} m north and {east_m:.0f} m"
+            " east of the origin; area.terrain is to cover more"
+        )
+    return down_m
 
 
 class Plane:

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dronemon.errors import MissionFileError
+from dronemon.errors import CameraError, MissionFileError
 from dronemon.frames import GeoPoint, geo_to_ned, ground_to_pixel
 from dronemon.types import CameraModel, FloatArray, Pose
 from dronemon.vision.ground_error import ground_jacobian
-from dronemon.vision.surface import Plane
+from dronemon.vision.surface import Plane, down_below_m
 from dronemon.vision.terrain import HeightGrid, Terrain, read_heights
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.radians(90))
@@ -179,6 +179,8 @@ def test_rays_into_the_sky_and_off_the_grid_meet_nothing():
     assert met[:, 0].tolist() == [False, True, False]
     off = pose_at(place=(5000.0, 0.0))
     assert np.isnan(HILLS.places(pixels_px, CAMERA, off)).all()
+    with pytest.raises(CameraError, match="no height below the drone, 5000 m north and 0 m east"):
+        down_below_m(HILLS, off)
 
 
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (0.2, -0.3, 2.0)])
