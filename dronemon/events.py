@@ -123,10 +123,11 @@ class Stretch:
 class Measured(Event):
     """What the sensor said about all targets.
 
-    number:  of the measurement in the run, from 1
-    score:   (N,) confidence of each target seen, NaN where it was not
-    pose:    that the picture was taken from
-    error_m: radius about the place of a target seen in which it truly is, in 95 of 100
+    number:        of the measurement in the run, from 1
+    score:         (N,) confidence of each target seen, NaN where it was not
+    pose:          that the picture was taken from
+    covariance_m2: (N, 2, 2) of the place of each target seen, north and east
+    error_m:       (N,) radius about it in which it truly is, in 95 of 100 or more
     """
 
     number: int
@@ -134,7 +135,8 @@ class Measured(Event):
     measurement: Measurement
     score: FloatArray
     pose: Pose
-    error_m: float
+    covariance_m2: FloatArray
+    error_m: FloatArray
     battery: float | None = None
     battery_needed: float = 0.0
     stretch: Stretch

@@ -36,6 +36,7 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
         yield from _sight_problems(mission)
         yield from _planner_problems(mission)
         yield from _lens_problems(mission)
+        yield from _terrain_problems(mission)
         yield from _detector_problems(mission)
 
     told = []
@@ -269,6 +270,20 @@ def _lens_problems(mission: Mission) -> Iterator[Problem]:
             "be looked at, a circle about the point below the drone; make the angle smaller, or "
             "see that calibration and mount_deg are right",
         )
+
+
+def _terrain_problems(mission: Mission) -> Iterator[Problem]:
+    """Whether the ground's heights can be read, and are those that the camera looks at."""
+    if mission.area.terrain is None:
+        return
+    from dronemon.vision.terrain import read_heights
+
+    try:
+        read_heights(mission.area.terrain)
+    except MissionFileError as exc:
+        yield ("area", "terrain"), str(exc)
+    if mission.camera.is_simulated:
+        yield ("area", "terrain"), "the simulator's ground is flat; leave this out"
 
 
 def _detector_problems(mission: Mission) -> Iterator[Problem]:

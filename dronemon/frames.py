@@ -126,6 +126,20 @@ def ned_to_geo(position_ned_m: Sequence[float] | FloatArray, origin: GeoPoint) -
     )
 
 
+def ned_to_degrees(place_ned_m: FloatArray, origin: GeoPoint) -> FloatArray:
+    """Where local places are on the globe. place_ned_m: (..., 2) m -> (..., 2) deg lat, lon."""
+    place = np.asarray(place_ned_m, dtype=np.float64)
+    latitude, longitude, _ = pymap3d.ned2geodetic(
+        place[..., 0],
+        place[..., 1],
+        np.zeros(place.shape[:-1]),
+        origin.latitude_deg,
+        origin.longitude_deg,
+        origin.altitude_m,
+    )
+    return np.stack([latitude, longitude], axis=-1)
+
+
 def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:
     """Rotation matrix from (forward, right, down) to (north, east, down). -> (3, 3)."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in attitude_rad)
@@ -188,12 +202,10 @@ def gimbal_to_camera(gimbal_rad: Vector3) -> Vector3:
     return attitude_of(body_to_ned(gimbal_rad) @ _CAMERA_TO_GIMBAL)
 
 
-def pixel_to_ground(
-    pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+def pixel_to_ray(
+    pixel_px: FloatArray, camera: CameraModel, attitude_rad: tuple[float, float, float]
 ) -> FloatArray:
-    """Where the rays of pixels meet the ground plane; NaN at or above the horizon.
-
-    pixel_px: (..., 2) u, v -> (..., 2) north, east in m.
+    """Where pixels look. pixel_px: (..., 2) u, v -> (..., 3) north, east, down, 1 along the axis.
 
     The camera's axes in the body frame: right of the picture = right, top of the picture = forward,
     optical axis = down.
@@ -201,9 +213,20 @@ def pixel_to_ground(
     pixel = np.asarray(pixel_px, dtype=np.float64)
     forward = (camera.height_px / 2.0 - pixel[..., 1]) / camera.focal_px
     right = (pixel[..., 0] - camera.width_px / 2.0) / camera.focal_px
-    ray_ned = (
-        np.stack([forward, right, np.ones_like(right)], axis=-1) @ body_to_ned(pose.attitude_rad).T
+    ray: FloatArray = (
+        np.stack([forward, right, np.ones_like(right)], axis=-1) @ body_to_ned(attitude_rad).T
     )
+    return ray
+
+
+def pixel_to_ground(
+    pixel_px: FloatArray, camera: CameraModel, pose: Pose, ground_down_m: float
+) -> FloatArray:
+    """Where the rays of pixels meet the ground plane; NaN at or above the horizon.
+
+    pixel_px: (..., 2) u, v -> (..., 2) north, east in m.
+    """
+    ray_ned = pixel_to_ray(pixel_px, camera, pose.attitude_rad)
     height_m = ground_down_m - pose.position_ned_m[2]
     down = ray_ned[..., 2:]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -13,7 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dronemon.errors import BeliefError
+from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import BoolArray, FloatArray, Measurement
+
+LEAST_VIEW_AU = 0.5 * SENSOR_RADIUS_AU
+"""The one point that a process is given stands for a view of about the sensor's radius."""
 
 
 class Window(NamedTuple):
@@ -21,7 +25,8 @@ class Window(NamedTuple):
 
     points: (N, n, 3) float64 au x, y, t: the target's place where seen, the agent's where not
     values: (N, n)    float64 1 where seen, 0 where not
-    mask:   (N, n)    bool    whether there is such an observation
+    mask:   (N, n)    bool    whether there is such an observation; of a target not seen there is
+                              none where less than half of the sensor's radius was looked at
 
     Source: paper, equation 1 and section III-C.
     """
@@ -151,10 +156,11 @@ class Sightings:
         points[:, 1:, :2] = np.reshape([m.agent_au for m in recent], (-1, 2))
         points[:, 1:, 2] = [m.time_au for m in recent]
         for column, measurement in enumerate(recent, start=1):
+            mask[:, column] = measurement.view_au >= LEAST_VIEW_AU
             if measurement.seen.any():
                 seen = np.flatnonzero(measurement.seen)
                 points[seen, column, :2] = measurement.target_au[seen]
-                values[seen, column] = 1.0
+                values[seen, column], mask[seen, column] = 1.0, True
         known = np.flatnonzero(self._has_prior)
         mask[:, 0] = False
         mask[known, 0] = self.time_au < span_au

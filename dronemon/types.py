@@ -11,6 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
+from dronemon.problem import SENSOR_RADIUS_AU
+
 if TYPE_CHECKING:  # numpy is slow to import, and a mission's check needs only its own numbers
     import numpy as np
     from numpy.typing import NDArray
@@ -144,7 +146,8 @@ class Measurement:
 
     time_au: mission time; agent_au: (2,) agent's position; seen: (N,) bool; target_au: (N, 2)
     position of each target seen, NaN
-    where it was not.
+    where it was not; view_au: radius about the agent in which a target that is not seen is not: the
+    sensor's, or less where a tilt takes ground out of the picture.
     Source: paper, equation 1.
     """
 
@@ -152,3 +155,4 @@ class Measurement:
     agent_au: FloatArray
     seen: BoolArray
     target_au: FloatArray
+    view_au: float = SENSOR_RADIUS_AU

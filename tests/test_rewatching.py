@@ -179,7 +179,9 @@ def test_pictures_that_say_nothing_are_counted_and_told(
     assert (folder.summary()["pictures"], folder.summary()["num_blind"]) == (2, 4)
     assert [line["time_s"] for line in folder.observations()] == [0.0, 10.0]
     first, last = (e["text"] for e in folder.events() if e["kind"] == "camera")
-    assert re.match(r"1-tilted\.jpg says nothing: shows \d+% of the 20 m .* 50 degrees; 75%", first)
+    assert re.match(
+        r"1-tilted\.jpg says nothing: shows 0 m of ground to all sides .* 10 m are", first
+    )
     assert last == "5-better.jpg says something again, after 4 that did not"
     assert "said nothing" in capsys.readouterr().out
 
@@ -187,8 +189,8 @@ def test_pictures_that_say_nothing_are_counted_and_told(
 @pytest.mark.parametrize(
     ("number", "words"),
     [
-        (1, r"shows \d+% of the 20 m about the drone that count, from 35 m, tilted 50 degrees"),
-        (2, r"shows \d% of the 20 m about the drone that count, from 5 m, tilted 0 degrees"),
+        (1, "shows 0 m of ground to all sides of the drone, and 10 m are needed"),
+        (2, "shows 4 m of ground to all sides of the drone, and 10 m are needed"),
         (3, "shows nothing at all"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,16 @@ def test_a_target_that_joins_was_not_seen_before() -> None:
     imagined = log.window(6.0, num_targets=2)
     np.testing.assert_array_equal(imagined.points[1, 1:], [[0.5, 0.25, 0.1], [0.5, 0.25, 0.2]])
     assert not imagined.values[1].any()
+
+
+def test_a_picture_that_showed_too_little_says_nothing_of_targets_unseen() -> None:
+    log = Sightings(NOBODY)
+    for step, view_au in enumerate((0.1, 0.06, 0.04), start=1):
+        log.add(replace(measurement(0.1 * step, (0.5, 0.3), None), view_au=view_au))
+    points, values, mask = log.window(6.0)
+    assert mask[:, 1:].tolist() == [[True, True, True], [True, True, False]]
+    np.testing.assert_array_equal(points[0, 3], [0.5, 0.3, 0.1 * 3])
+    assert values[0, 3] == 1.0
 
 
 @settings(max_examples=30)

@@ -24,7 +24,7 @@ from dronemon.camera.source import check_size_px
 from dronemon.camera.taken import Taken, refuse
 from dronemon.errors import CameraError, did_you_mean
 from dronemon.frames import GeoPoint, geo_to_ned
-from dronemon.mission.schema import Camera
+from dronemon.mission.camera import Camera
 from dronemon.types import CameraModel, Picture, Pose, Vector3
 
 _LONGEST_GAP, _LEAST_GAP_S = 10.0, 30.0

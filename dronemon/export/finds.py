@@ -12,11 +12,12 @@ import numpy as np
 from dronemon.camera import PosedPictures
 from dronemon.export.formats import geojson
 from dronemon.export.story import Fix, Sighting, Story
-from dronemon.frames import ned_to_geo, pixel_to_ground
+from dronemon.frames import ned_to_geo
 from dronemon.mission import Mission
+from dronemon.runner.ground import surface_of
 from dronemon.runner.inspection import lay_area
 from dronemon.types import Detection, Pose
-from dronemon.vision.observe import sighting_error_m
+from dronemon.vision.ground_error import ground_covariance, radius_m, told_covariance
 
 
 class Finds:
@@ -31,6 +32,7 @@ class Finds:
     def __init__(self, mission: Mission, pictures: PosedPictures) -> None:
         self._mission, self._pictures, self._home = mission, pictures, pictures.start
         self._frame = lay_area(mission, self._home, self._home, 0.0)
+        self._surface = surface_of(mission, self._frame, self._home, self._home)
         self._sightings: list[Sighting] = []
 
     def add(self, found: Sequence[Detection], pose: Pose, marked: Path) -> list[tuple[str, ...]]:
@@ -39,10 +41,14 @@ class Finds:
         marked: the picture's copy
         """
         pixels_px = np.array([d.pixel_px for d in found]).reshape(-1, 2)
-        places_m = pixel_to_ground(pixels_px, self._mission.camera.model, pose, 0.0)
-        error_m = sighting_error_m(pose, self._frame, None)
+        camera, surface = self._mission.camera.model, self._surface
+        places_m = surface.places(pixels_px, camera, pose)
+        told = told_covariance(self._mission.errors, pose, (0.0, 0.0, 0.0), None, None)
+        errors_m = radius_m(ground_covariance(pixels_px, camera, pose, surface, told))
         rows = list[tuple[str, ...]]()
-        for detection, (north_m, east_m) in zip(found, places_m.tolist(), strict=True):
+        for detection, (north_m, east_m), error_m in zip(
+            found, places_m.tolist(), errors_m.tolist(), strict=True
+        ):
             if not (math.isfinite(north_m) and self._frame.height_m(pose.position_ned_m[2]) > 0.0):
                 rows.append(("",) * len(self.columns))
                 continue

@@ -119,7 +119,7 @@ class SightingSender:
             appearance=target.appearance,
             time=datetime.now(UTC),
             place=laid.area.au_to_geo(event.measurement.target_au[number], laid.origin),
-            error_m=event.error_m,
+            error_m=float(event.error_m[number]),
             score=None if math.isnan(score) else score,
             crop=None,
         )

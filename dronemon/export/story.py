@@ -34,7 +34,7 @@ class Sighting:
     """A target seen in a picture.
 
     number:  of the target among the mission's
-    error_m: radius about the place in which it truly is, in 95 of 100
+    error_m: radius about the place in which it truly is, in 95 of 100 or more
     score:   the detector's confidence, 0 to 1
     crop:    the part of the picture that shows it, None where it was not kept
     """

@@ -81,6 +81,7 @@ def _anchor_files(data: dict[str, Any], folder: Path) -> None:
     for section, key, is_file in (
         ("planner", "checkpoint", lambda name: Path(name).suffix or Path(name).parent != Path()),
         ("camera", "url", is_video_file),
+        ("area", "terrain", bool),
         ("camera", "calibration", bool),
         ("detector", "file", bool),
         ("simulation", "motion", is_tracks),

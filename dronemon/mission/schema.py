@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from dronemon.mission.addresses import mavlink_url_problem
+from dronemon.mission.camera import Camera, PlaceErrors
 from dronemon.mission.detector import DetectorSection
 from dronemon.mission.faults import parse_fault
 from dronemon.mission.section import Fraction, Section
@@ -28,11 +29,9 @@ from dronemon.problem import (
 )
 from dronemon.sensor import LIMITS
 from dronemon.sensor import Sensor as SensorModel
-from dronemon.types import APPEARANCES, GRAVITY_M_S2, CameraModel
+from dronemon.types import APPEARANCES, GRAVITY_M_S2
 
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
-Angle = Annotated[float, Field(ge=-180.0, le=180.0)]
-Angles = Annotated[tuple[Angle, Angle, Angle], Field(strict=False)]
 _TURN_S = 4.0
 GIMBAL_ERROR_DEG = 5.0
 """How far a gimbal that was told to look down may look off."""
@@ -49,6 +48,8 @@ class Area(Section):
     """Latitude of the centre; home if absent."""
     longitude_deg: float | None = Field(None, ge=-180.0, le=180.0)
     """Longitude of the centre; home if absent."""
+    terrain: str | None = None
+    """Heights of the ground, an ESRI ASCII grid in WGS 84 degrees (.asc); flat if absent."""
 
     @model_validator(mode="after")
     def _both_or_neither(self) -> Area:
@@ -143,46 +144,6 @@ class Vehicle(Section):
     def is_mock(self) -> bool:
         """Whether the built-in kinematic autopilot flies."""
         return self.url == "mock"
-
-
-class Camera(Section):
-    """The downward camera."""
-
-    width_px: int = Field(640, ge=64, le=8192)
-    """Width of the pictures."""
-    height_px: int = Field(480, ge=64, le=8192)
-    """Height of the pictures."""
-    url: str = Field(
-        "simulated",
-        description="`simulated`, or where pictures come from: rtsp://..., udp://..., a video file "
-        "(its path from this file) or the number of a local camera.",
-    )
-    latency_s: float = Field(0.0, ge=0.0, le=5.0)
-    """Age of a picture when it arrives; not for the simulated."""
-    horizontal_fov_deg: float = Field(90.0, ge=10.0, le=150.0)
-    """Angle of view from the left to the right edge; with a calibration, of what is looked at."""
-    calibration: str | None = None
-    """The lens, a file of `dronemon calibrate`, OpenCV or ROS; a pinhole's if absent."""
-    mount_deg: Angles = (0.0, 0.0, 0.0)
-    """[roll, pitch, yaw] of the camera on drone or gimbal; 0 looks down, its top to the nose."""
-    gimbal: bool = False
-    """Whether it hangs on a gimbal whose attitude the vehicle tells; else the drone's counts."""
-    timeout_s: float = Field(5.0, gt=0.0, le=60.0)
-    """Wall-clock wait for a picture."""
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the simulator draws the pictures."""
-        return self.url == "simulated"
-
-    @property
-    def model(self) -> CameraModel:
-        """The pinhole model of this camera."""
-        return CameraModel(
-            width_px=self.width_px,
-            height_px=self.height_px,
-            horizontal_fov_rad=math.radians(self.horizontal_fov_deg),
-        )
 
 
 class Sensor(Section):
@@ -355,6 +316,7 @@ class Mission(Section):
     camera: Camera = Camera()
     detector: DetectorSection = DetectorSection()
     sensor: Sensor = Sensor()
+    errors: PlaceErrors = PlaceErrors()
     targets: tuple[Target, ...] = Field(strict=False, min_length=1, max_length=MAX_TARGETS)
     """The targets to watch, each with its own name."""
     belief: Belief = Belief()

@@ -69,7 +69,8 @@ class KindBelief:
         """Take two sights of a target in a row: how many walks from one come to the other?
 
         deck:      (M, NUM_ROWS) its particles at the first sight
-        stops:     (S, 3)        time, x, y of that sight, of every miss since, of the new sight
+        stops:     (S, 4)        time, x, y and view of that sight, of every miss since, of the new
+                                 sight
         trail_au:  (P, 2)        where it was seen of old
         walked_au: way that it went meanwhile
         """
@@ -81,7 +82,7 @@ class KindBelief:
         )
         width = self._motion.closeness_au + 2.0 * self._sensor.position_au
         width += self._motion.closeness_share * walked_au
-        now_au = stops[-1, 1:]
+        now_au = stops[-1, 1:3]
         squared = (walkers[:, X] - now_au[0]) ** 2 + (walkers[:, Y] - now_au[1]) ** 2
         closeness = np.exp(-0.5 * squared / width**2)
         radius_au = self._motion.trail_radius_au

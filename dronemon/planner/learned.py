@@ -126,6 +126,7 @@ class LearnedPlanner:
                 torch.as_tensor(np.pad(measurement.seen, (ahead, 0)))[None],
                 torch.as_tensor(np.pad(measurement.target_au, ((ahead, 0), (0, 0))))[None],
                 torch.ones(1, dtype=torch.bool),
+                measurement.view_au,
             )
         self._num_read = len(sightings)
 

@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,15 @@ _ASTRAY = 0.05
 """Density per au^2 of a target where no particle is."""
 _FEW = 0.15
 """Share of surviving particles below which lost ones are walked anew instead of copied."""
+
+
+class _Miss(NamedTuple):
+    """When and where the agent did not see a target, and how far about it was looked at."""
+
+    time_au: float
+    x_au: float
+    y_au: float
+    view_au: float
 
 
 @dataclass(slots=True, kw_only=True)
@@ -187,7 +197,7 @@ class ParticleBelief:
         for i, target in enumerate(self.targets):
             foreseen = target.walkers.copy() if i in now else None
             if trust.get(i, 0.0) < 1.0:
-                self._miss(i, measurement.agent_au, sightings)
+                self._miss(i, measurement, sightings)
             if foreseen is not None:
                 self._sight(i, now[i], trust[i], foreseen)
 
@@ -207,10 +217,10 @@ class ParticleBelief:
         true = (1.0 - sensor.untold) * (near + _ASTRAY)
         return float(true / (true + false))
 
-    def _miss(self, index: int, agent_au: FloatArray, sightings: Sightings) -> None:
+    def _miss(self, index: int, look: Measurement, sightings: Sightings) -> None:
         """Remove what would have been seen, as surely as the eye would have seen it."""
         target = self.targets[index]
-        lost = self._refuted(target, agent_au)
+        lost = self._refuted(target, look)
         if index >= len(self.targets) - self._num_imagined:
             self.undetected *= 1.0 - len(lost) / self._motion.num_particles
         if len(lost) > (1.0 - _FEW) * self._motion.num_particles and target.sights:
@@ -239,7 +249,7 @@ class ParticleBelief:
         if misses is not None:
             self.kinds.observe(
                 self._dealt(index),
-                np.array([target.sights[-1], *misses[:-1], now], dtype=np.float64),
+                _stops(target.sights[-1], *misses[:-1], now),
                 self._old_trail(target),
                 self.speed.mean_of(index) * (now.time_au - target.sights[-1].time_au),
             )
@@ -291,12 +301,13 @@ class ParticleBelief:
         walkers[:, :2] = self._arena.clip(np.array(now[1:]) + off_au)
         return walkers, base is not None
 
-    def _refuted(self, target: TargetParticles, agent_au: FloatArray) -> IntArray:
+    def _refuted(self, target: TargetParticles, look: Measurement) -> IntArray:
         """Particles that a miss refutes. -> (L,) their indices."""
         motion = self._motion
         lost: IntArray = walking.refuted(
             target.walkers,
-            agent_au,
+            look.agent_au,
+            look.view_au,
             self._old_trail(target),
             motion.trail_radius_au,
             self.kinds.table,
@@ -312,19 +323,19 @@ class ParticleBelief:
         old = [sight[1:] for sight in target.trail if first_au < sight.time_au < latest_au]
         return np.array(old, dtype=np.float64).reshape(-1, 2)
 
-    def _misses_since(self, sight: Sight, sightings: Sightings) -> list[Sight] | None:
+    def _misses_since(self, sight: Sight, sightings: Sightings) -> list[_Miss] | None:
         """When and where the agent has missed a target since a sight; None if too often to tell."""
         first = max(0, self._num_learned - _MOST_MISSES)
         recent = sightings.since(first)[: self._num_learned - first]
         misses = [
-            Sight(m.time_au, *m.agent_au.tolist())
+            _Miss(m.time_au, float(m.agent_au[0]), float(m.agent_au[1]), m.view_au)
             for m in recent
             if m.time_au > sight.time_au + 1e-9
         ]
         return misses if len(misses) < _MOST_MISSES else None
 
     def _walk_anew(
-        self, index: int, lost: IntArray, sight: Sight, misses: list[Sight] | None
+        self, index: int, lost: IntArray, sight: Sight, misses: list[_Miss] | None
     ) -> int:
         """Walk particles anew from the last sight if all misses since are known. -> how many."""
         if misses is None:
@@ -334,7 +345,7 @@ class ParticleBelief:
                 self.targets[index].walkers,
                 lost,
                 self._dealt(index),
-                np.array([sight, *misses], dtype=np.float64),
+                _stops(sight, *misses),
                 self.kinds.table,
                 self._bounds,
                 self._sensor.untold,
@@ -350,6 +361,11 @@ class ParticleBelief:
             target.walkers[lost] = target.walkers[self._rng.choice(survivors, len(lost))]
         else:
             target.walkers[lost] = self._begin(index, np.full(2, np.nan)).walkers[lost]
+
+
+def _stops(*stops: Sight | _Miss) -> FloatArray:
+    """As walks take them. -> (S, 4) time, x, y and view in au, no view of a sight."""
+    return np.array([(*stop, 0.0)[:4] for stop in stops], dtype=np.float64)
 
 
 def _heading_base(before: Iterable[Sight], now: Sight, blur_au: float) -> Sight | None:

@@ -13,7 +13,6 @@ import numpy as np
 from numba import njit
 
 from dronemon.planner.moving import is_inside
-from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import FloatArray
 
 X, Y, HEADING, SPEED, KIND, CURVATURE, RESTING = range(7)
@@ -129,16 +128,17 @@ def doubts(walkers, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def refuted(walkers, agent, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
+def refuted(walkers, agent, view, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
     """Particles that a miss removes: in view, or (perhaps) on the target's own trail. -> (L,).
 
+    view: radius about the agent that was looked at
     miss: chance that the eye misses what is in view
     """
     out = np.empty(walkers.shape[0], np.int64)
     count = 0
     for j in range(walkers.shape[0]):
         x, y = walkers[j, X], walkers[j, Y]
-        gone = (x - agent[0]) ** 2 + (y - agent[1]) ** 2 < SENSOR_RADIUS_AU**2
+        gone = (x - agent[0]) ** 2 + (y - agent[1]) ** 2 < view**2
         if gone and miss > 0.0:
             gone = rng.random() >= miss
         if not gone:
@@ -158,7 +158,7 @@ def _outlives(walker, misses, count, kinds, bounds, miss, rng):  # type: ignore[
         if (
             m < count
             and (walker[X] - misses[m, 1]) ** 2 + (walker[Y] - misses[m, 2]) ** 2
-            < SENSOR_RADIUS_AU**2
+            < misses[m, 3] ** 2
             and not (miss > 0.0 and rng.random() < miss)
         ):
             return False
@@ -171,7 +171,7 @@ def walk_anew(walkers, lost, deck, misses, kinds, bounds, miss, rng):  # type: i
 
     lost:   (L,)          int64 their indices
     deck:   (M, NUM_ROWS) the particles as they were at the last sighting
-    misses: (S + 1, 3)    time, x, y of the sighting and of every miss since
+    misses: (S + 1, 4)    time, x, y and view of the sighting and of every miss since
     miss:   chance that the eye misses what is in view
     """
     done = 0
@@ -194,7 +194,8 @@ def outlived(walkers, stops, kinds, bounds, miss, rng):  # type: ignore[no-untyp
     """Walk particles on, in place, from one sight to the next. -> which no miss refutes, (M,)
 
     walkers: (M, NUM_ROWS) as they were at the first
-    stops:   (S, 3)        time, x, y of the first sight, of every miss since, and of the second
+    stops:   (S, 4)        time, x, y and view of the first sight, of every miss since, and of the
+                           second
     """
     out = np.empty(walkers.shape[0], np.bool_)
     for j in range(walkers.shape[0]):

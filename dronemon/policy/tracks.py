@@ -72,16 +72,23 @@ class Tracks:
         self._is_placed = self._is_placed | known
 
     def add(
-        self, time_au: Tensor, agent_au: Tensor, seen: Tensor, targets_au: Tensor, active: Tensor
+        self,
+        time_au: Tensor,
+        agent_au: Tensor,
+        seen: Tensor,
+        targets_au: Tensor,
+        active: Tensor,
+        view_au: float = SENSOR_RADIUS_AU,
     ) -> None:
         """Take in one measurement.
 
         time_au: (B,); agent_au: (B, 2); seen: (B, N) bool; targets_au: (B, N, 2), anything where
-        not seen; active: (B,) bool, false in episodes that did not measure
+        not seen; active: (B,) bool, false in episodes that did not measure; view_au: how far about
+        the agent was looked at
         """
         seen = seen & active[:, None]
         now_au = time_au[:, None]
-        near = (self._expected(now_au) - agent_au[:, None]).norm(dim=-1) < SENSOR_RADIUS_AU
+        near = (self._expected(now_au) - agent_au[:, None]).norm(dim=-1) < view_au
         is_missed = near & ~seen & active[:, None] & self._is_placed
         self._missed_at_au = torch.where(is_missed, now_au, self._missed_at_au)
 

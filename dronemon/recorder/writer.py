@@ -192,25 +192,29 @@ class RunRecorder:
         self._append(POSES_FILE, said | self._place(pose.position_ned_m))
 
     def _observation(self, event: Measured) -> dict[str, object]:
-        measurement = event.measurement
+        measurement, names = event.measurement, self._names
         said = {
             "number": event.number,
             "time_s": event.time_s,
             "wall": self._wall(event.time_s),
             "time_au": measurement.time_au,
             "agent_au": measurement.agent_au,
+            "view_au": measurement.view_au,
             "battery": event.battery,
             "battery_needed": event.battery_needed,
             "stretch": asdict(event.stretch),
-            "targets": {
-                name: {"seen": seen, "position_au": position if seen else None, "score": confidence}
-                | (self._ground(position) | {"error_m": event.error_m} if seen else {})
-                for name, seen, position, confidence in zip(
-                    self._names, measurement.seen, measurement.target_au, event.score, strict=True
-                )
-            },
+            "targets": {name: self._target(event, number) for number, name in enumerate(names)},
         }
         return said | self._place(event.pose.position_ned_m)
+
+    def _target(self, event: Measured, number: int) -> dict[str, object]:
+        """What a measurement says of one target."""
+        if not event.measurement.seen[number]:
+            return {"seen": False, "position_au": None, "score": None}
+        position_au = event.measurement.target_au[number]
+        said = {"seen": True, "position_au": position_au, "score": event.score[number]}
+        error = {"error_m": event.error_m[number], "covariance_m2": event.covariance_m2[number]}
+        return said | self._ground(position_au) | error
 
     def _event(self, event: Noted) -> dict[str, object]:
         boot, up_s = machine_time()

@@ -14,12 +14,11 @@ from dronemon.errors import RecordError
 from dronemon.export.story import Story, coarse, read_story, redacted
 from dronemon.frames import AreaFrame, GeoPoint
 from dronemon.mission import Mission
-from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.recorder import RunFolder
 from dronemon.runner.history import Laid, recorded, understanding
 from dronemon.runner.preparation import make_belief
 from dronemon.runner.watch import Watched, watch
-from dronemon.types import FloatArray
+from dronemon.types import FloatArray, Measurement
 
 GRID_SIZE = 60
 """Points of the maps along each axis."""
@@ -117,7 +116,7 @@ def read_flight(folder: RunFolder, cell_m: float = 0.0) -> Flight:
                 [(d["time_au"] * seconds, d["decision_ms"]) for d in folder.decisions()]
             ).reshape(-1, 2),
             mean=_on_grid(belief)[0],
-            unseen_for_s=_unseen_for_au(agent_au, times_au) * seconds,
+            unseen_for_s=_unseen_for_au(measurements) * seconds,
             watched=[
                 watch(sightings, number, seconds, place_of)
                 for number in range(len(mission.targets))
@@ -162,11 +161,12 @@ def _on_grid(belief: Belief) -> tuple[FloatArray, FloatArray]:
     return mean, std
 
 
-def _unseen_for_au(agent_au: FloatArray, times_au: FloatArray) -> FloatArray:
+def _unseen_for_au(measurements: Sequence[Measurement]) -> FloatArray:
     """(G, G) time at the end since the footprint lay over each place; rows are y."""
     grid_au = ARENA.grid(GRID_SIZE)
     looked_at_au = np.full(len(grid_au), -np.inf)
-    for place_au, time_au in zip(agent_au, times_au, strict=True):
-        looked_at_au[np.hypot(*(grid_au - place_au).T) < SENSOR_RADIUS_AU] = time_au
-    unseen_for_au: FloatArray = (times_au[-1] - looked_at_au).reshape(GRID_SIZE, GRID_SIZE).T
+    for look in measurements:
+        looked_at_au[np.hypot(*(grid_au - look.agent_au).T) < look.view_au] = look.time_au
+    since_au = measurements[-1].time_au - looked_at_au
+    unseen_for_au: FloatArray = since_au.reshape(GRID_SIZE, GRID_SIZE).T
     return unseen_for_au

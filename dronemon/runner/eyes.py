@@ -6,31 +6,44 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dronemon.errors import CameraError
 from dronemon.events import Believed, EventStream, Measured, Pictured
 from dronemon.frames import AreaFrame
 from dronemon.mission import Mission
 from dronemon.runner.preparation import make_belief
 from dronemon.runner.tally import Tally
-from dronemon.sightings import Sightings
+from dronemon.sightings import LEAST_VIEW_AU, Sightings
 from dronemon.types import Detection, FloatArray, Measurement, Picture, Pose
 from dronemon.vision.detector import Detector, look
-from dronemon.vision.observe import observe, sighting_error_m
+from dronemon.vision.ground_error import ground_covariance, radius_m
+from dronemon.vision.observe import observe
 from dronemon.vision.owners import NOBODY, Owners
+from dronemon.vision.surface import Surface, down_below_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shot:
+    """A picture and where it was taken from. told: how far off that may be, `told_covariance`."""
+
+    picture: Picture
+    pose: Pose
+    told: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Glance:
     """What a picture says.
 
-    owners: which target each find counts as, `NOBODY` for none
-    score:  (N,) how surely each target was found, NaN where it was not
+    owners:        which target each find counts as, `NOBODY` for none
+    score:         (N,) how surely each target was found, NaN where it was not
+    covariance_m2: (N, 2, 2) of the place of each target found, NaN where it was not
     """
 
-    picture: Picture
-    pose: Pose
+    shot: Shot
     detections: tuple[Detection, ...]
     owners: list[int]
     score: FloatArray
+    covariance_m2: FloatArray
     measurement: Measurement
 
 
@@ -43,57 +56,71 @@ class Eyes:
         detector: Detector,
         events: EventStream,
         frame: AreaFrame,
+        surface: Surface,
         sightings: Sightings,
     ) -> None:
         self._mission, self._detector = mission, detector
-        self._events, self._frame = events, frame
+        self._events, self._frame, self._surface = events, frame, surface
         self._names = tuple(target.name for target in mission.targets)
         self._owners = Owners.of_mission(mission)
         self.belief = make_belief(mission, sightings)
 
-    def look(self, picture: Picture, pose: Pose, start_s: float) -> Glance:
+    def look(self, shot: Shot, start_s: float) -> Glance:
         """What the detector finds, whose each is, and what that says of targets. In a thread.
 
         start_s: when the patrol began
-        Raises CameraError for a detector that fails.
+        Raises CameraError for a detector that fails, and for a picture that shows no target and too
+        little ground to say that there is none.
         """
-        detections = look(self._detector, picture.image, pose, self._frame.ground_down_m)
+        picture, pose, camera = shot.picture, shot.pose, self._mission.camera.model
+        detections = look(self._detector, picture.image, pose, down_below_m(self._surface, pose))
         measurement, owners = observe(
             detections,
             pose=pose,
-            camera=self._mission.camera.model,
+            camera=camera,
             frame=self._frame,
+            surface=self._surface,
             owners=self._owners,
             sightings=self.belief.sightings,
             time_au=self._frame.s_to_au(picture.time_s - start_s),
         )
+        self._check_view(measurement)
         score = np.full(len(self._names), np.nan)
+        pixels_px = np.full((len(self._names), 2), np.nan)
         for found, target in zip(detections, owners, strict=True):
             if target != NOBODY:
-                score[target] = found.score
+                score[target], pixels_px[target] = found.score, found.pixel_px
         return Glance(
-            picture=picture,
-            pose=pose,
+            shot=shot,
             detections=detections,
             owners=owners,
             score=score,
+            covariance_m2=ground_covariance(pixels_px, camera, pose, self._surface, shot.told),
             measurement=measurement,
         )
+
+    def _check_view(self, measurement: Measurement) -> None:
+        if measurement.view_au < LEAST_VIEW_AU and not measurement.seen.any():
+            side_m = self._frame.side_m
+            raise CameraError(
+                f"shows {measurement.view_au * side_m:.0f} m of ground to all sides of the drone, "
+                f"and {LEAST_VIEW_AU * side_m:.0f} m are needed to say that no target is there; is "
+                "it too low, or the camera turned away?"
+            )
 
     def tell(
         self,
         glance: Glance,
         tally: Tally,
         *,
-        accuracy_m: float | None = None,
         battery: float | None = None,
         battery_needed: float = 0.0,
     ) -> None:
         """Tell what a picture says, and count it. Raises RecordError: it counts for nothing then.
 
-        accuracy_m, battery, battery_needed: of the vehicle, as far as it says so
+        battery, battery_needed: of the vehicle, as far as it says so
         """
-        time_s, measurement = glance.picture.time_s, glance.measurement
+        time_s, measurement = glance.shot.picture.time_s, glance.measurement
         stretch = tally.stretch(time_s)
         self._events.emit(
             Measured(
@@ -101,8 +128,9 @@ class Eyes:
                 time_s=time_s,
                 measurement=measurement,
                 score=glance.score,
-                pose=glance.pose,
-                error_m=sighting_error_m(glance.pose, self._frame, accuracy_m),
+                pose=glance.shot.pose,
+                covariance_m2=glance.covariance_m2,
+                error_m=radius_m(glance.covariance_m2),
                 battery=battery,
                 battery_needed=battery_needed,
                 stretch=stretch,
@@ -113,7 +141,7 @@ class Eyes:
 
     def believe(self, glance: Glance) -> None:
         """Take into the beliefs what was told, and show it. Raises RecordError."""
-        sightings, picture = self.belief.sightings, glance.picture
+        sightings, picture = self.belief.sightings, glance.shot.picture
         sightings.add(glance.measurement)
         if self._mission.record.pictures:
             self._events.emit(
@@ -122,7 +150,7 @@ class Eyes:
                     picture=picture,
                     detections=glance.detections,
                     owners=glance.owners,
-                    pose=glance.pose,
+                    pose=glance.shot.pose,
                 )
             )
         self._events.emit(

@@ -17,6 +17,7 @@ from dronemon.errors import RecordError
 from dronemon.events import Stretch
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned, ned_to_geo
 from dronemon.mission import Mission
+from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.recorder import RunFolder
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
@@ -246,6 +247,7 @@ def measurement_of(line: Mapping[str, Any], names: Sequence[str]) -> Measurement
         agent_au=np.array(line["agent_au"]),
         seen=np.array([target["seen"] for target in targets], dtype=np.bool_),
         target_au=np.array(places, dtype=np.float64),
+        view_au=line.get("view_au", SENSOR_RADIUS_AU),  # earlier versions did not say
     )
 
 

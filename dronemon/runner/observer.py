@@ -14,12 +14,14 @@ from dronemon.events import EventStream
 from dronemon.frames import AreaFrame
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
-from dronemon.runner.eyes import Eyes
+from dronemon.runner.eyes import Eyes, Shot
+from dronemon.runner.ground import surface_of
 from dronemon.runner.preparation import LOOK_LIMIT_S, FlightSetup
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
-from dronemon.types import Picture, Pose
-from dronemon.vision.project import interpolate_pose, on_gimbal
+from dronemon.types import Picture
+from dronemon.vision.ground_error import told_covariance
+from dronemon.vision.project import interpolate_pose, on_gimbal, turning
 
 BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while too few pictures say anything, ..."""
@@ -51,7 +53,7 @@ class Observer:
         self._link = setup.link
         self._events = events
         self._battery = battery
-        self._unseen: deque[tuple[Picture, Pose]] = deque()  # taken and not yet looked at
+        self._unseen: deque[Shot] = deque()  # taken and not yet looked at
         self._pictured_s = -math.inf  # vehicle time of the newest picture
         self._freshness = Freshness()
         self._blind_since_s: float | None = None
@@ -62,7 +64,11 @@ class Observer:
         self._is_taking = False
         self.tally = tally
         sightings = tally.sightings if tally else Sightings(setup.priors_au)
-        self._eyes = Eyes(self._mission, setup.detector, events, frame, sightings)
+        home, origin = self._link.state.home, self._link.state.origin
+        assert home is not None  # wait_ready waited for both
+        assert origin is not None
+        surface = surface_of(self._mission, frame, home, origin)
+        self._eyes = Eyes(self._mission, setup.detector, events, frame, surface, sightings)
 
     @property
     def belief(self) -> Belief:
@@ -112,22 +118,27 @@ class Observer:
                 now_s, last_s = self._link.time_s, self._pictured_s
                 check_picture(picture, self._mission.camera.model, now_s, last_s)
                 self._pictured_s = picture.time_s
-                pose = await self._camera_pose(picture.time_s)
-                self._freshness.check(picture, pose)
+                shot = await self._placed(picture)
+                self._freshness.check(picture, shot.pose)
             except CameraError as exc:
                 self._miss(exc)
             else:
-                self._unseen.append((picture, pose))
+                self._unseen.append(shot)
                 work.set()
             finally:
                 self._is_taking = False
 
-    async def _camera_pose(self, time_s: float) -> Pose:
-        """Where the camera was at an instant, and how it was turned. Raises CameraError."""
-        pose = interpolate_pose(*await self._link.poses_around(time_s), time_s)
-        if not self._mission.camera.gimbal:
-            return pose
-        return on_gimbal(pose, *await self._link.gimbal_around(time_s))
+    async def _placed(self, picture: Picture) -> Shot:
+        """A picture, and where and how its camera was then. Raises CameraError."""
+        before, after = await self._link.poses_around(picture.time_s)
+        pose, turn_rad_s = interpolate_pose(before, after, picture.time_s), turning(before, after)
+        if self._mission.camera.gimbal:
+            pose = on_gimbal(pose, *await self._link.gimbal_around(picture.time_s))
+            turn_rad_s = 0.0, 0.0, turn_rad_s[2]  # it is held level
+        errors, state = self._mission.errors, self._link.state
+        accuracies_m = state.accuracy_m, state.height_accuracy_m
+        told = told_covariance(errors, pose, turn_rad_s, *accuracies_m)
+        return Shot(picture=picture, pose=pose, told=told)
 
     def _miss(self, exc: CameraError) -> None:
         """A picture says nothing: for a while the beliefs do without."""
@@ -155,27 +166,18 @@ class Observer:
     async def look(self) -> None:
         """Look at the oldest picture taken. One that says nothing is told, and counts."""
         try:
-            await self._look(*self._unseen[0])
+            await self._look(self._unseen[0])
         except CameraError as exc:
             self._unseen.popleft()
             self._miss(exc)
 
-    async def _look(self, picture: Picture, pose: Pose) -> None:
+    async def _look(self, shot: Shot) -> None:
         tally = self.tally
         assert tally is not None  # pictures are asked for only once the patrol has begun
-        glance = await in_daemon_thread(
-            partial(self._eyes.look, picture, pose, tally.start_s),
-            "the detector",
-            CameraError,
-            LOOK_LIMIT_S,
-        )
-        self._eyes.tell(
-            glance,
-            tally,
-            accuracy_m=self._link.state.accuracy_m,
-            battery=self._link.state.battery,
-            battery_needed=self._battery.needed,
-        )
+        look = partial(self._eyes.look, shot, tally.start_s)
+        glance = await in_daemon_thread(look, "the detector", CameraError, LOOK_LIMIT_S)
+        battery, needed = self._link.state.battery, self._battery.needed
+        self._eyes.tell(glance, tally, battery=battery, battery_needed=needed)
         self._unseen.popleft()
         self._see()
         self._eyes.believe(glance)

@@ -18,18 +18,15 @@ from dronemon.fence import Fence
 from dronemon.frames import GeoPoint
 from dronemon.mission import Mission
 from dronemon.problem import SENSOR_RADIUS_AU
-from dronemon.runner.eyes import Eyes
-from dronemon.runner.ground import area_laid, tell_laid
+from dronemon.runner.eyes import Eyes, Shot
+from dronemon.runner.ground import area_laid, surface_of, tell_laid
 from dronemon.runner.inspection import lay_area
 from dronemon.runner.preparation import draw_start_and_roadmap
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Picture, Pose
 from dronemon.vision.detector import Detector
-from dronemon.vision.project import share_shown
-
-_LEAST_SHARE = 0.75
-"""Of the footprint that a picture must show: whom it does not show counts as not there."""
+from dronemon.vision.ground_error import told_covariance
 
 
 class Rewatch:
@@ -92,7 +89,8 @@ class Rewatch:
         """
         self._events = EventStream(record, audience, self)
         log = self.tally.sightings
-        self._eyes = Eyes(self._mission, self._detector, self._events, self._frame, log)
+        surface = surface_of(self._mission, self._frame, self._home, self._home)
+        self._eyes = Eyes(self._mission, self._detector, self._events, self._frame, surface, log)
         self._begin()
         began_s, last = time.monotonic(), None
         async with camera:
@@ -134,25 +132,13 @@ class Rewatch:
         """Look at a picture and believe it. Raises CameraError if it says nothing."""
         check_picture(picture, self._mission.camera.model, self.time_s, -math.inf)
         self._freshness.check(picture, pose)
-        self._check_view(pose)
         began_s = time.perf_counter()
-        glance = await asyncio.to_thread(self._eyes.look, picture, pose, self.tally.start_s)
+        told = told_covariance(self._mission.errors, pose, (0.0, 0.0, 0.0), None, None)
+        shot = Shot(picture=picture, pose=pose, told=told)
+        glance = await asyncio.to_thread(self._eyes.look, shot, self.tally.start_s)
         self.took_s.append(time.perf_counter() - began_s)
         self._eyes.tell(glance, self.tally)
         self._eyes.believe(glance)
-
-    def _check_view(self, pose: Pose) -> None:
-        """See whether enough of the footprint is in a picture. Raises CameraError."""
-        camera, radius_m = self._mission.camera.model, self._mission.sensor_radius_m
-        share = share_shown(camera, pose, self._frame.ground_down_m, radius_m)
-        if share < _LEAST_SHARE:
-            roll_rad, pitch_rad, _ = pose.attitude_rad
-            tilt_deg = math.degrees(math.acos(math.cos(roll_rad) * math.cos(pitch_rad)))
-            raise CameraError(
-                f"shows {share:.0%} of the {radius_m:g} m about the drone that count, from "
-                f"{self._frame.height_m(pose.position_ned_m[2]):.0f} m, tilted {tilt_deg:.0f} "
-                f"degrees; {_LEAST_SHARE:.0%} are needed"
-            )
 
     @contextmanager
     def _counting(self, name: str) -> Iterator[None]:

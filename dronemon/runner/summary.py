@@ -15,7 +15,7 @@ from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
 from dronemon.events import TruthTold
 from dronemon.frames import GeoPoint
 from dronemon.mission import Mission
-from dronemon.problem import MEASUREMENT_INTERVAL_AU
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.runner.flight import FlightResult
 from dronemon.runner.identity import identify
 from dronemon.runner.last_seen import LastSeen
@@ -32,6 +32,7 @@ _SAME_S = 1e-6
 class Flown:
     """How the patrol was flown; None where there is nothing to measure.
 
+    pictures_cut: those that a tilt kept from showing all of the sensor's circle.
     picture_spacing_error: median share by which two pictures are apart more or less than 0.1 au.
     watched: how, of each target by its name.
     """
@@ -45,6 +46,7 @@ class Flown:
     cross_track_p95_au: float | None
     pictures: int
     pictures_due: int
+    pictures_cut: int
     picture_spacing_m: float | None
     picture_spacing_error: float | None
     decisions: int
@@ -134,6 +136,7 @@ def flown(
         cross_track_p95_au=_percentile(np.array(tally.cross_track_m) / side_m, 95),
         pictures=len(tally.sightings),
         pictures_due=tally.num_pictures_due,
+        pictures_cut=sum(m.view_au < SENSOR_RADIUS_AU for m in tally.sightings.since(0)),
         picture_spacing_m=_percentile(spacing_m, 50),
         picture_spacing_error=_percentile(np.abs(spacing_m / due_m - 1.0), 50),
         decisions=len(tally.decision_ms),
@@ -224,6 +227,8 @@ def how_flown(values: Mapping[str, Any]) -> dict[str, str]:
     show("ground speed", "{:.2f} m/s, p99 {:.2f} m/s", "mean_speed_m_s", "speed_p99_m_s")
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")
     show("pictures", "{} of {}, {:.2f} m apart", "pictures", "pictures_due", "picture_spacing_m")
+    if values.get("pictures_cut"):
+        show("pictures cut by a tilt", "{}", "pictures_cut")
     show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")
     return table
 

@@ -92,6 +92,8 @@ class VehicleState:
     """What is against the estimate, in words."""
     accuracy_m: float | None = None
     """Standard deviation of the horizontal position along one axis, as the estimator has it."""
+    height_accuracy_m: float | None = None
+    """That of the height."""
     gps: GpsFix | None = None
     remote_id: str | None = None
     """What its remote ID has against arming, nothing if it is ready; None if none is heard."""

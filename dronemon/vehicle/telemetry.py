@@ -40,6 +40,7 @@ _UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message st
         "is_estimate_heard": False,
         "estimate_doubts": ("no word of it",),
         "accuracy_m": None,
+        "height_accuracy_m": None,
     },
     "GPS_RAW_INT": {"gps": None},
     REMOTE_ID_STATUS: {"remote_id": None},
@@ -284,11 +285,11 @@ class Telemetry:
 
     def _on_estimator_status(self, fields: dict[str, Any]) -> None:
         flags = _whole(fields["flags"], 0, 2**16 - 1)
-        accuracy_m = fields["pos_horiz_accuracy"] or math.nan  # None stands for NaN
         self._update(
             is_estimate_heard=True,
             is_position_good=bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS),
-            accuracy_m=accuracy_m if 0.0 < accuracy_m < math.inf else None,
+            accuracy_m=_accuracy_m(fields["pos_horiz_accuracy"]),
+            height_accuracy_m=_accuracy_m(fields["pos_vert_accuracy"]),
             estimate_doubts=(
                 *(f"no {what}" for what, flag in _ESTIMATED.items() if not flags & flag),
                 *(what for what, flag in _ESTIMATE_ERRORS.items() if flags & flag),
@@ -326,6 +327,11 @@ def _vector(fields: dict[str, Any], names: tuple[str, str, str], limit: float) -
     if not all(abs(value) <= limit for value in (first, second, third)):  # NaN is never
         raise ValueError(f"{names}: {first}, {second}, {third}")
     return first, second, third
+
+
+def _accuracy_m(told: float | None) -> float | None:
+    """A standard deviation of a message; None where it is none, as NaN, which comes as None."""
+    return told if told is not None and 0.0 < told < math.inf else None
 
 
 def _whole(value: int, least: int, most: int) -> int:

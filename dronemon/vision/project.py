@@ -10,20 +10,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from dronemon.errors import CameraError
-from dronemon.frames import (
-    attitude_of,
-    camera_to_ned,
-    ground_to_pixel,
-    off_down_rad,
-    pixel_to_ground,
-)
+from dronemon.frames import attitude_of, body_to_ned, camera_to_ned, off_down_rad, pixel_to_ground
 from dronemon.types import CameraModel, FloatArray, GimbalAttitude, Pose, Vector3
 
 _MOST_OFF_DOWN_DEG = 20.0
 """By which a gimbal may look off straight down and its pictures still count."""
-
-_STEPS = 41
-"""Places across the circle of which a share is taken."""
 
 
 def interpolate_pose(before: Pose, after: Pose, time_s: float) -> Pose:
@@ -66,6 +57,14 @@ def on_gimbal(pose: Pose, before: GimbalAttitude, after: GimbalAttitude) -> Pose
     return replace(pose, attitude_rad=attitude_of(rotation))
 
 
+def turning(before: Pose, after: Pose) -> Vector3:
+    """How fast roll, pitch and yaw change between two poses, in rad/s; 0 where no time passes."""
+    passed_s = after.time_s - before.time_s
+    if passed_s <= 0.0:
+        return 0.0, 0.0, 0.0
+    return _vector(_wrapped(np.subtract(after.attitude_rad, before.attitude_rad)) / passed_s)
+
+
 def _moved(pose: Pose, time_s: float) -> Pose:
     step_m = np.multiply(pose.velocity_ned_m_s, time_s - pose.time_s)
     position = _vector(np.add(pose.position_ned_m, step_m))
@@ -87,14 +86,17 @@ def _vector(values: FloatArray) -> Vector3:
     return x, y, z
 
 
-def share_shown(camera: CameraModel, pose: Pose, ground_down_m: float, radius_m: float) -> float:
-    """Share of the circle about the place below the vehicle that a picture shows."""
-    steps = np.linspace(-radius_m, radius_m, _STEPS)
-    offsets_m = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    circle_m = offsets_m[np.hypot(*offsets_m.T) <= radius_m] + pose.position_ned_m[:2]
-    pixels_px = ground_to_pixel(circle_m, camera, pose, ground_down_m)
-    size_px = np.array([camera.width_px, camera.height_px])
-    return float(((pixels_px >= 0.0) & (pixels_px <= size_px)).all(axis=-1).mean())
+def shown_radius_m(camera: CameraModel, pose: Pose, ground_down_m: float) -> float:
+    """Radius about the point below the vehicle in which a picture shows all the ground."""
+    across = camera.width_px / 2.0 / camera.focal_px
+    along = camera.height_px / 2.0 / camera.focal_px
+    # Normals, to the inside, of the planes through the lens and an edge: forward, right, down.
+    on_body = np.array([[0, 1, across], [0, -1, across], [1, 0, along], [-1, 0, along]])
+    normals = on_body @ body_to_ned(pose.attitude_rad).T
+    height_m = ground_down_m - pose.position_ned_m[2]
+    with np.errstate(divide="ignore"):
+        away_m = height_m * normals[:, 2] / np.hypot(normals[:, 0], normals[:, 1])
+    return max(0.0, float(away_m.min()))
 
 
 def ground_side_m(

@@ -7,7 +7,7 @@ authors' release.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -96,12 +96,8 @@ class Roster:
         """What the sensor says of those known, whom the ones seen now for the first time join."""
         seen = np.flatnonzero(truth.seen).tolist()
         self.known += [target for target in seen if target not in self.known]
-        return Measurement(
-            time_au=truth.time_au,
-            agent_au=truth.agent_au,
-            seen=truth.seen[self.known],
-            target_au=truth.target_au[self.known],
-        )
+        known = self.known
+        return replace(truth, seen=truth.seen[known], target_au=truth.target_au[known])
 
 
 def measure(time_au: float, agent_au: FloatArray, targets_au: FloatArray) -> Measurement:
@@ -137,9 +133,4 @@ def misread(
             reach, bearing = SENSOR_RADIUS_AU * math.sqrt(rng.random()), rng.uniform(0.0, math.tau)
             offset_au = reach * np.array([math.cos(bearing), math.sin(bearing)])
             told_au[rng.choice(unseen)] = truth.agent_au + offset_au
-    return Measurement(
-        time_au=truth.time_au,
-        agent_au=truth.agent_au,
-        seen=~np.isnan(told_au[:, 0]),
-        target_au=arena.clip(told_au),
-    )
+    return replace(truth, seen=~np.isnan(told_au[:, 0]), target_au=arena.clip(told_au))

@@ -360,7 +360,8 @@ def laid_and_measured() -> tuple[AreaLaid, Measured]:
         pose=Pose(
             time_s=4.0, position_ned_m=at_rest, velocity_ned_m_s=at_rest, attitude_rad=at_rest
         ),
-        error_m=1.5,
+        covariance_m2=np.array([0.4 * np.eye(2), np.full((2, 2), np.nan)]),
+        error_m=np.array([1.5, np.nan]),
         stretch=Stretch(
             pictured_m=0.0,
             flown_m=0.0,

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -104,6 +105,24 @@ def test_what_the_report_reckons(flown: Path) -> None:
     assert flight.mean[0][last] > 0.9
     assert flight.mean[0][last[::-1]] < 0.3  # rows are y
     assert flight.unseen_for_s[last] == 0.0
+
+
+def test_what_a_tilted_picture_did_not_show_was_not_looked_at(flown: Path, tmp_path: Path) -> None:
+    """And a run of a version that did not say so was looked at as far as the sensor sees."""
+
+    def share(change: Callable[[dict], object]) -> float:
+        run = tmp_path / "run"
+        shutil.copytree(flown, run, dirs_exist_ok=True)
+        told = (flown / "observations.jsonl").read_text().splitlines()
+        lines = [json.loads(line) for line in told]
+        for line in lines:
+            change(line)
+        (run / "observations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+        return read_flight(RunFolder.open(run)).share_looked_at()
+
+    whole = read_flight(RunFolder.open(flown)).share_looked_at()
+    assert share(lambda line: line.pop("view_au")) == whole
+    assert share(lambda line: line.update(view_au=0.05)) < 0.7 * whole
 
 
 def round_to_grid(place_au: np.ndarray) -> tuple[int, ...]:

@@ -82,6 +82,12 @@ def test_animals_is_the_papers_experiment():
         ("horizon_au: 30", "horizon_au: true", 8, ["flight.horizon_au", "valid number", "True"]),
         ("appearance: fox", "apearance: fox", 12, ["did you mean `appearance`"]),
         ("horizon_au: 30", "return_battery: 0.2", 8, ["did you mean `reserve_battery`"]),
+        (
+            "side_m: 200",
+            "terrain: no.asc",
+            4,
+            ["area.terrain", "no.asc: cannot be read", "is flat"],
+        ),
         ("side_m: 200", "side_m: -3", 4, ["area.side_m", "greater than or equal to 10", "-3"]),
         ("horizon_au: 30", "horizon_au: 60", 8, ["flight.horizon_au", "battery", "25.5 min"]),
         ("horizon_au: 30", "horizon_au: .nan", 8, ["flight.horizon_au", "finite"]),

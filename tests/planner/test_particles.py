@@ -99,6 +99,26 @@ def test_miss_leaves_no_particle_in_view():
     assert np.all((x - 0.55) ** 2 + (y - 0.5) ** 2 >= 0.01 - 1e-12)
 
 
+def test_a_miss_says_nothing_of_where_the_picture_did_not_look():
+    belief = Told([[np.nan, np.nan]])
+    belief.update(replace(miss(0.1, (0.5, 0.5)), view_au=0.05))
+    away = np.hypot(*(belief.walkers[:, :2] - 0.5).T)
+    assert away.min() >= 0.05
+    assert np.any(away < 0.1)
+
+
+def test_walks_anew_are_not_refuted_by_where_a_picture_did_not_look():
+    """All its particles are refuted one after the other, but for those that stayed at the rim."""
+    for view_au, is_near in ((0.1, False), (0.05, True)):
+        belief = Told([[0.5, 0.5]])
+        belief.update(sighting(0.1, (0.5, 0.5)))
+        for step in range(2, 9):
+            belief.update(replace(miss(0.1 * step, (0.5, 0.5)), view_au=view_au))
+        away = np.hypot(*(belief.walkers[:, :2] - 0.5).T)
+        assert np.any(away < 0.1) == is_near
+        assert np.all(away >= view_au)
+
+
 def test_misses_everywhere_never_leave_a_target_without_particles():
     belief = Told([[0.5, 0.5]])
     rng = np.random.default_rng(1)
@@ -171,7 +191,7 @@ def test_a_miss_on_the_old_trail_removes_as_many_as_the_doubt_says():
     for doubt in (KINDS[0].trail_doubt, 0.0, 1.0):
         kinds = walking.table_of((replace(KINDS[0], trail_doubt=doubt),))
         rng = np.random.default_rng(0)
-        gone = walking.refuted(walkers, agent, trail, 0.05, kinds, 0.0, rng)
+        gone = walking.refuted(walkers, agent, 0.1, trail, 0.05, kinds, 0.0, rng)
         assert len(gone) / 2000 == pytest.approx(doubt, abs=0.03)
         assert (gone >= 2000).all()
     assert KINDS[0].trail_doubt > 0.5
@@ -184,6 +204,7 @@ def test_an_eye_that_misses_removes_no_more_than_it_would_have_seen():
     gone = walking.refuted(
         walkers,
         np.array([0.05, 0.0]),
+        0.1,
         nowhere,
         0.1,
         walking.table_of(KINDS),
@@ -251,10 +272,10 @@ def test_circling_targets_keep_the_curve_that_they_were_seen_on():
 
 
 def weighed(deck, stops, **sensor):
-    """Shares of the kinds after two sights in a row."""
+    """Shares of the kinds after two sights in a row, and looks with all of the sensor between."""
     rng = np.random.default_rng(0)
     belief = KindBelief(MotionSettings(), Sensor(**sensor), ARENA.bounds, rng)
-    belief.observe(deck, np.array(stops), np.empty((0, 2)), 0.1)
+    belief.observe(deck, np.array([(*stop, 0.1) for stop in stops]), np.empty((0, 2)), 0.1)
     return dict(zip([kind.name for kind in KINDS], belief.shares, strict=True))
 
 

@@ -16,7 +16,13 @@ FAR = (0.9, 0.9)
 
 
 def see(
-    tracks: Tracks, time: float, targets: list[tuple[float, float] | None], agent=FAR, *, row=None
+    tracks: Tracks,
+    time: float,
+    targets: list[tuple[float, float] | None],
+    agent=FAR,
+    *,
+    row=None,
+    view_au=0.1,
 ) -> None:
     """One measurement; of one episode among several, if `row` is given."""
     num_episodes = 1 if row is None else 2
@@ -30,6 +36,7 @@ def see(
         torch.tensor([[p is not None for p in targets]] * num_episodes),
         places,
         active,
+        view_au,
     )
 
 
@@ -86,6 +93,7 @@ def test_looking_where_it_should_be_is_remembered_until_it_is_seen() -> None:
     see(tracks, 1.0, [None], agent=(0.5, 0.59))
     assert features(tracks, 1.5)[0, MISSED] == pytest.approx(math.exp(-0.5))
     see(tracks, 1.6, [None], agent=(0.5, 0.61))
+    see(tracks, 1.6, [None], agent=(0.5, 0.59), view_au=0.08)
     assert features(tracks, 1.6)[0, MISSED] == pytest.approx(math.exp(-0.6))
     see(tracks, 2.0, [(0.5, 0.5)])
     assert features(tracks, 2.0)[0, MISSED] == 0.0

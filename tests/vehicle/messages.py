@@ -15,12 +15,13 @@ HEARTBEAT = {
 }
 HOME = {"latitude": 473977420, "longitude": 85455940, "altitude": 488000}
 PLACE = {"lat": 473977420, "lon": 85455940, "alt": 488000}
+ACCURACY = {"pos_horiz_accuracy": 0.5, "pos_vert_accuracy": 0.7}
 READY = {
     "HOME_POSITION": HOME,
     "GPS_GLOBAL_ORIGIN": HOME,
     "GLOBAL_POSITION_INT": PLACE,
     "AUTOPILOT_VERSION": {"uid": 17, "uid2": [0] * 18},
-    "ESTIMATOR_STATUS": {"flags": mavlink.ESTIMATOR_POS_HORIZ_ABS, "pos_horiz_accuracy": 0.5},
+    "ESTIMATOR_STATUS": {"flags": mavlink.ESTIMATOR_POS_HORIZ_ABS, **ACCURACY},
     "SYS_STATUS": {
         "battery_remaining": 73,
         "onboard_control_sensors_health": mavlink.MAV_SYS_STATUS_PREARM_CHECK,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from messages import HOME, PLACE, READY, ready
+from messages import ACCURACY, HOME, PLACE, READY, ready
 
 from dronemon.vehicle.readiness import problems
 
@@ -24,7 +24,7 @@ def test_nothing_is_against_a_vehicle_that_is_ready():
     [
         ({"SYS_STATUS": CHECKS_FAIL}, "arming checks not passed"),
         (
-            {"ESTIMATOR_STATUS": {"flags": 0, "pos_horiz_accuracy": 0.5}},
+            {"ESTIMATOR_STATUS": {"flags": 0, **ACCURACY}},
             "no good absolute position (GPS?)",
         ),
         ({"ESTIMATOR_STATUS": None}, "no good absolute position (GPS?)"),

@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 
 import pytest
-from messages import HEARTBEAT, HOME, PLACE, READY, attitude, pose, posed, position, silent_until
+from messages import (
+    ACCURACY,
+    HEARTBEAT,
+    HOME,
+    PLACE,
+    READY,
+    attitude,
+    pose,
+    posed,
+    position,
+    silent_until,
+)
 from pymavlink.dialects.v20 import common as mavlink
 
 from dronemon.errors import CameraError
@@ -29,7 +40,7 @@ def beat(telemetry, **fields):
 
 
 def estimate(telemetry, flags, **fields):
-    telemetry.take("ESTIMATOR_STATUS", {"flags": flags, "pos_horiz_accuracy": 0.5, **fields})
+    telemetry.take("ESTIMATOR_STATUS", {"flags": flags, **ACCURACY, **fields})
 
 
 @pytest.mark.parametrize(
@@ -221,8 +232,11 @@ def test_a_good_position_is_absolute_and_measured(flags, is_good):
 )
 def test_an_accuracy_that_is_none_is_unknown_and_spoils_nothing_else(told, accuracy_m):
     telemetry = Telemetry()
-    estimate(telemetry, mavlink.ESTIMATOR_POS_HORIZ_ABS, pos_horiz_accuracy=told)
-    assert telemetry.state.accuracy_m == accuracy_m
+    for name, other in (("horiz", "vert"), ("vert", "horiz")):
+        estimate(telemetry, mavlink.ESTIMATOR_POS_HORIZ_ABS, **{f"pos_{name}_accuracy": told})
+        known_m = ACCURACY[f"pos_{other}_accuracy"]
+        expected = (accuracy_m, known_m) if name == "horiz" else (known_m, accuracy_m)
+        assert (telemetry.state.accuracy_m, telemetry.state.height_accuracy_m) == expected
     assert telemetry.state.is_position_good
 
 

@@ -11,6 +11,7 @@ from dronemon.types import APPEARANCES, CameraModel, Detection, Pose
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.observe import observe
 from dronemon.vision.owners import Owners
+from dronemon.vision.surface import Plane
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 
@@ -47,6 +48,7 @@ def observe_over(detections, pose, appearances=("cow", "fox", "zebra")):
         pose=pose,
         camera=CAMERA,
         frame=FRAME,
+        surface=Plane(FRAME.ground_down_m),
         owners=Owners(appearances),
         sightings=Sightings(np.full((len(appearances), 2), np.nan)),
         time_au=4.5,
@@ -82,6 +84,19 @@ def test_higher_score_wins_and_only_inside_the_circle(order):
     ]
     seen = observe_over(finds[::order], pose)
     np.testing.assert_allclose(seen.target_au[0], (0.35, 0.80))
+
+
+@pytest.mark.parametrize(
+    ("pitch_deg", "view_au"),
+    [(0.0, 0.1), (7.0, 0.1), (12.0, 35.0 * math.tan(math.radians(24.87)) / 200.0), (40.0, 0.0)],
+)
+def test_only_what_a_tilt_leaves_in_the_picture_was_looked_at(pitch_deg, view_au):
+    """Up and down the picture it looks 36.87 degrees to either side."""
+    pose = pose_over(AGENT_AU, attitude=(0.0, math.radians(pitch_deg), 1.0))
+    seen = observe_over([detection("cow", AGENT_AU + 0.01, pose)], pose)
+    assert seen.view_au == pytest.approx(view_au, abs=1e-5)
+    assert seen.view_au <= 0.1
+    assert seen.seen.tolist() == [True, False, False]
 
 
 def test_nothing_found_and_nobody_asked_for():
@@ -129,6 +144,7 @@ def test_rendered_animals_are_observed_where_they_are(heading_rad):
         pose=pose,
         camera=CAMERA,
         frame=frame,
+        surface=Plane(0.0),
         owners=Owners(tuple(truth_au)),
         sightings=Sightings(np.full((3, 2), np.nan)),
         time_au=0.1,

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from dronemon.errors import CameraError
 from dronemon.frames import body_to_ned, ground_to_pixel, pixel_to_ground
 from dronemon.types import CameraModel, GimbalAttitude, Pose
-from dronemon.vision.project import interpolate_pose, on_gimbal, share_shown
+from dronemon.vision.project import interpolate_pose, on_gimbal, shown_radius_m, turning
 
+CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 ANGLES = st.floats(-math.pi, math.pi)
 
 
@@ -67,7 +68,6 @@ def test_two_messages_of_the_same_instant_are_no_problem():
     assert interpolate_pose(same, same, 1.0) == same
 
 
-CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 DOWN = -math.pi / 2.0
 
 
@@ -122,19 +122,30 @@ def test_what_looks_elsewhere_than_down_says_nothing(off_deg, is_down):
         on_gimbal(pose(1.0), looks, looks)
 
 
-@pytest.mark.parametrize(
-    ("height_m", "pitch_deg", "share"),
-    [
-        (45.0, 0.0, 1.0),
-        (45.0, 12.0, 1.0),
-        (20.0, 0.0, 0.856),  # 15 m of 20 up and down: two segments of a circle are cut off
-        (35.0, 36.87, 0.5),  # the lower edge looks straight down
-        (45.0, 89.0, 0.0),
-        (1e-9, 0.0, 0.0),
-        (-3.0, 0.0, 0.0),
-    ],
-)
-def test_a_picture_shows_a_share_of_what_is_below(height_m, pitch_deg, share):
-    attitude = (0.0, math.radians(pitch_deg), 1.0)
-    taken = pose(0.0, (7.0, -4.0, -height_m), attitude=attitude)
-    assert share_shown(CAMERA, taken, 0.0, 20.0) == pytest.approx(share, abs=0.03)
+def test_turning_goes_the_shorter_way_and_is_none_where_no_time_passes():
+    before, after = pose(1.0, attitude=(0.1, 0.0, 3.1)), pose(1.5, attitude=(0.2, 0.0, -3.1))
+    assert turning(before, after) == pytest.approx((0.2, 0.0, 2.0 * (math.tau - 6.2)))
+    assert turning(before, before) == (0.0, 0.0, 0.0)
+
+
+def shows(at: Pose, radius_m: float) -> bool:
+    """Whether a picture shows all of a circle on the ground about the point below."""
+    bearings = np.linspace(0.0, math.tau, 2000)
+    circle_m = radius_m * np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+    pixels_px = ground_to_pixel(circle_m + at.position_ned_m[:2], CAMERA, at, 2.0)
+    return bool(((pixels_px >= 0.0) & (pixels_px <= (640.0, 480.0))).all())  # NaN is not
+
+
+@given(roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), yaw=ANGLES)
+def test_a_picture_shows_the_ground_up_to_its_radius_and_no_farther(roll, pitch, yaw):
+    at = pose(0.0, (7.0, -3.0, -38.0), attitude=(roll, pitch, yaw))
+    radius_m = shown_radius_m(CAMERA, at, 2.0)
+    assert radius_m == 0.0 or shows(at, 0.999 * radius_m)
+    assert not shows(at, 1.002 * radius_m + 1e-3)
+
+
+def test_what_a_level_picture_shows_and_one_that_does_not_show_what_is_below():
+    level = pose(0.0, (0.0, 0.0, -38.0))
+    assert shown_radius_m(CAMERA, level, 2.0) == pytest.approx(40.0 * 240.0 / 320.0)
+    for turned in ((0.8, 0.0, 0.0), (0.0, -0.7, 1.0), (math.pi, 0.0, 0.0), (1.6, 0.0, 0.0)):
+        assert shown_radius_m(CAMERA, pose(0.0, (0.0, 0.0, -38.0), attitude=turned), 2.0) == 0.0
