@@ -8,6 +8,7 @@ import math
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -23,23 +24,25 @@ from recorded_flight import (
     PLACES_M,
     Shot,
     away_m,
-    exif_of,
     lanes,
     save_tagged,
     save_with_table,
     write_table,
-    xmp_of,
 )
 
+from dronemon.camera import read_posed
 from dronemon.detecting import detect_command
 from dronemon.errors import CameraError, DronemonError, OptionError, RecordError
 from dronemon.export.command import export_command
+from dronemon.export.finds import Finds
 from dronemon.export.story import read_story
+from dronemon.mission import load_mission
 from dronemon.recorder import RunFolder
 from dronemon.report.command import report_command
 from dronemon.rewatching import rewatch_command
 from dronemon.runner.history import read_newest
 from dronemon.runner.status import ask_to_go_on, status
+from dronemon.types import Detection, Pose
 
 LOOKS = {"Bella": "cow", "Zuri": "zebra", "Rusty": "fox", "Pan": "panda"}
 NEAR_M, SEES_M = 0.5, 20.0
@@ -308,22 +311,28 @@ def test_detect_tells_why_it_does_not_say_where_finds_are(
 ) -> None:
     """As of pictures of two flights, which are looked at all the same."""
     later = Shot(name="later.jpg", time_s=900.0, place_m=(0.0, 0.0), angles_deg=(0, -90, 0))
-    ground = Shot(
-        name="a.jpg", time_s=-1.0, place_m=(-24.0, 0.0), angles_deg=(0, -90, 0), height_m=0
-    )
     folder = tmp_path / "pictures"
     shutil.copytree(tagged, folder)
     save_tagged(folder, [later])
     detect_command(str(folder), mission, tmp_path / "two")
     assert "later.jpg is 876 s later than DJI_0016.JPG" in capsys.readouterr().err.replace("\n", "")
     assert not (tmp_path / "two" / "detections.geojson").exists()
-    (folder / later.name).rename(folder / ground.name)
-    image = Image.open(folder / ground.name)
-    image.save(folder / ground.name, exif=exif_of(ground), xmp=xmp_of(ground))
-    detect_command(str(folder), mission, tmp_path / "one")
-    rows = list(csv.DictReader((tmp_path / "one" / "detections.csv").read_text().splitlines()))
-    assert {row["latitude_deg"] for row in rows if row["picture"] == ground.name} == {""}
-    assert all(row["latitude_deg"] for row in rows if row["picture"] != ground.name)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "pitch_rad", "is_placed"),
+    [(35.0, 0.0, True), (0.0, 0.0, False), (35.0, 1.6, False)],
+)
+def test_a_find_is_nowhere_where_no_ground_is_seen(
+    tilted: Path, mission: str, height_m: float, pitch_rad: float, is_placed: bool
+) -> None:
+    of = load_mission(Path(mission)).mission
+    pose = replace(Pose.level(height_m), attitude_rad=(0.0, pitch_rad, 0.0))
+    finds = Finds(of, read_posed(tilted, None, of.camera))
+    found = Detection(appearance="cow", pixel_px=(320.0, 100.0), score=0.9)
+    (row,) = finds.add([found], pose, Path("marked.jpg"))
+    assert [bool(text) for text in row] == [is_placed] * len(Finds.columns)
+    assert (b'"cow"' in finds.geojson()) == is_placed
 
 
 def test_a_camera_that_is_mounted_aslant_is_rectified_first(tmp_path: Path) -> None:
