@@ -27,7 +27,7 @@ class Exposure:
         gain = min(1.0 / simulation.light, _MAX_GAIN)
         self._brightness = simulation.light * gain
         shape = (camera.height_px + _SPARE_PX, camera.width_px + _SPARE_PX, 3)
-        # Of fewer photons: the noise of their number is amplified more than their number is less.
+        # Shot noise: a quarter of the photons have half the noise, which is amplified four times.
         noise_std = _NOISE_STD * math.sqrt(gain)
         noise = np.random.default_rng((seed, 1)).normal(128.0, noise_std, shape)
         self._noise = np.rint(np.clip(noise, 0.0, 255.0)).astype(np.uint8)
