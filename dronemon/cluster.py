@@ -69,6 +69,11 @@ def join_cluster(
             f"--workers {num_workers}: the cluster at {address} has as many as its nodes have "
             "CPUs; leave it out"
         )
+    if address not in ("local", "auto") and not _answers(address):  # Ray would try for minutes
+        raise OptionError(
+            f"--ray {address}: nothing answers there within {ANSWER_S:g} s; give local, or the "
+            "HOST:PORT that `ray start --head` named (usually port 6379), on a node of the cluster"
+        )
     ray = _ray(address)
     _connect(ray, address, num_workers)
     try:
@@ -85,6 +90,8 @@ def _ray(address: str) -> ModuleType:
     os.environ.setdefault("RAY_task_oom_retries", str(MAX_RETRIES))  # without end, usually
     if address == "local":  # has it listen on the loopback alone, on Linux too
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+    else:  # calls to the head, of 40 s each
+        os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "2")
     try:
         import ray
     except ImportError as exc:
@@ -96,11 +103,6 @@ def _ray(address: str) -> ModuleType:
 
 def _connect(ray: ModuleType, address: str, num_workers: int | None) -> None:
     """Start Ray or join it. Raises OptionError."""
-    if address not in ("local", "auto") and not _answers(address):  # Ray would try for minutes
-        raise OptionError(
-            f"--ray {address}: nothing answers there within {ANSWER_S:g} s; give local, or the "
-            "HOST:PORT that `ray start --head` named (usually port 6379), on a node of the cluster"
-        )
     own: dict[str, Any] = {
         "num_cpus": num_workers or num_cores(),
         "object_store_memory": STORE_BYTES,
