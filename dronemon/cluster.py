@@ -198,9 +198,12 @@ class _RayExecutor(Executor):
         if isinstance(exc, died):
             return WorkerError(
                 f"the process that did {task} died, {1 + MAX_RETRIES} times in a row, perhaps for "
-                f"want of memory; the same command goes on where this run was. Ray says: {exc}"
+                f"want of memory; the same command goes on where this run was ({_last(exc)})"
             )
-        return WorkerError(f"{task} could not be done on the cluster: {exc}")
+        return WorkerError(
+            f"{task} could not be done on the cluster: {_last(exc)}; what it needs must be "
+            "installed on every node, or lie in the folder that the command runs in"
+        )
 
     def _look(self) -> None:
         """Fail all that is under way when the head has been silent for too long."""
@@ -212,6 +215,11 @@ class _RayExecutor(Executor):
                 for future in list(self._pending):
                     with suppress(InvalidStateError):
                         future.set_exception(_gone(self._head))
+
+
+def _last(exc: BaseException) -> str:
+    """What a long story of Ray's comes to."""
+    return next((line.strip() for line in reversed(str(exc).splitlines()) if line.strip()), "")
 
 
 def _gone(head: str) -> WorkerError:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -14,8 +16,8 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-import psutil
 import pytest
+import torch
 import typer
 from typer.testing import CliRunner
 
@@ -25,12 +27,15 @@ from dronemon.errors import OptionError, PlannerError, WorkerError
 from dronemon.evaluation.command import evaluate_command
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import Options, PlannerSpec, Sweep
-from dronemon.evaluation.results import Result
+from dronemon.evaluation.results import Result, load_results
+from dronemon.policy import read_tensors
 from dronemon.terminal import LenientConsole
 from dronemon.version import code_digest
 from dronemon.workers import share_out
 
 os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # read once; or no loopback for a cluster
+PAGE = (Path(__file__).parents[1] / "docs" / "cluster.md").read_text()
+COMMANDS = [shlex.split(line) for line in re.findall(r"(?m)^    dronemon (.*)$", PAGE)]
 QUIET = LenientConsole(quiet=True)
 STORE_BYTES = 80 * 2**20
 WORK = """
@@ -224,7 +229,7 @@ def kill_who_waits(folder: Path) -> Thread:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(300)
 @pytest.mark.usefixtures("without_figures", "work")
 def test_two_nodes_fly_what_one_process_flies_though_a_worker_is_killed(
     tmp_path: Path, address: str
@@ -245,7 +250,7 @@ def test_two_nodes_fly_what_one_process_flies_though_a_worker_is_killed(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(300)
 def test_what_fails_on_a_node_is_told_with_its_name_or_the_task(address: str, work: Any) -> None:
     with join_cluster(address, None) as nodes:
         with pytest.raises(PlannerError, match=r"^on .+: no way for 7$"):
@@ -257,7 +262,7 @@ def test_what_fails_on_a_node_is_told_with_its_name_or_the_task(address: str, wo
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(300)
 def test_a_cluster_that_goes_away_ends_the_run_with_what_to_do(
     work: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,8 +275,8 @@ def test_a_cluster_that_goes_away_ends_the_run_with_what_to_do(
             closing(share_out(work.slowly, range(3000), 1, joined)) as done,
         ):
             next(done)
-            (head,) = (p for p in psutil.Process().children() if p.name() == "gcs_server")
-            head.kill()
+            (head,) = nodes.head_node.all_processes["gcs_server"]
+            head.process.kill()
             with pytest.raises(WorkerError, match=r"is gone; what was finished is kept: start"):
                 list(done)
     finally:
@@ -279,7 +284,7 @@ def test_a_cluster_that_goes_away_ends_the_run_with_what_to_do(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(300)
 def test_a_ray_of_our_own_listens_on_the_loopback_alone_and_ends_with_us(tmp_path: Path) -> None:
     (tmp_path / "listening.py").write_text(LISTENING)
     done = subprocess.run(
@@ -297,3 +302,59 @@ def test_a_ray_of_our_own_listens_on_the_loopback_alone_and_ends_with_us(tmp_pat
     assert is_started == "True"
     assert set(places) <= {"127.0.0.1", "::1", "::ffff:127.0.0.1"}
     assert left == "[]"
+
+
+def run_command(folder: Path, arguments: list[str]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-m", "dronemon.cli", *arguments],
+        cwd=folder,
+        env={**os.environ, "HOME": str(folder)},
+        capture_output=True,
+        text=True,
+        timeout=280.0,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def without_ray(command: list[str]) -> list[str]:
+    """The same command for one process of our own, into another folder."""
+    place = command.index("--ray")
+    assert command[place : place + 4] == ["--ray", "local", "--workers", "2"]
+    alone = [*command[:place], "--workers", "1", *command[place + 4 :]]
+    alone[alone.index("--out") + 1] = "runs/alone"
+    return alone
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_sweep_of_the_page_is_that_of_one_process_line_by_line(tmp_path: Path) -> None:
+    (command,) = (c for c in COMMANDS if c[0] == "evaluate")
+    run_command(tmp_path, command)
+    run_command(tmp_path, without_ray(command))
+    shared, alone = (
+        load_results(tmp_path / "runs" / name / "results.jsonl") for name in ("sweep", "alone")
+    )
+    assert len(alone) == 8
+    assert lines([shared[key] for key in alone]) == lines(list(alone.values()))
+    assert (tmp_path / "runs" / "sweep" / "table.md").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_training_of_the_page_learns_what_one_process_learns(tmp_path: Path) -> None:
+    (command,) = (c for c in COMMANDS if c[0] == "train")
+    (recipe,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "small.yaml").write_text(recipe)
+    run_command(tmp_path, command)
+    run_command(tmp_path, without_ray(command))
+    shared, alone = (tmp_path / "runs" / name for name in ("shared", "alone"))
+    lessons = sorted(p.name for p in (alone / "lessons").glob("round-*.pt"))
+    assert len(lessons) == 2
+    assert sorted(p.name for p in (shared / "lessons").iterdir()) == lessons
+    for name in lessons:
+        first, second = (read_tensors(f / "lessons" / name)["gains"] for f in (shared, alone))
+        assert torch.equal(first, second)
+    weights, same_weights = (read_tensors(f / "state.pt")["weights"] for f in (shared, alone))
+    for name, value in weights.items():
+        assert torch.equal(value, same_weights[name]), name
