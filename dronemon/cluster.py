@@ -38,6 +38,13 @@ STORE_BYTES = 2**27
 """Of a Ray of our own, which passes no large values."""
 
 
+_ADVICE = {
+    True: "a machine that is too busy to start it in half a minute may do so later",
+    False: "all nodes need the same Ray and Python, and this command runs on one of them",
+}
+"""Where Ray cannot be had, by whether it is our own."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Terms:
     """What a process on a node needs in common with the one that asks.
@@ -117,10 +124,7 @@ def _connect(ray: ModuleType, address: str, num_workers: int | None) -> None:
         )
     except Exception as exc:  # of any kind, and also if this Python or Ray is not the cluster's
         ray.shutdown()
-        raise OptionError(
-            f"--ray {address}: cannot be joined: {exc}; all nodes need the same Ray and Python, "
-            "and a node of the cluster (`ray start --address HOST:PORT`) runs here"
-        ) from exc
+        raise OptionError(f"--ray {address}: {exc}; {_ADVICE[address == 'local']}") from exc
 
 
 def _answers(address: str) -> bool:
