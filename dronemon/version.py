@@ -25,6 +25,12 @@ def code_version() -> str:
     return __version__ if commit is None else f"{__version__}+{commit}"
 
 
+@cache
+def code_digest() -> str:
+    """Digest of the package's code, the same wherever it lies. -> 8 hexadecimal digits."""
+    return _digest(Path(__file__).parent)
+
+
 def find_commit(folder: Path) -> str | None:
     """Last commit that changed a folder; None if git is not there or does not track the folder."""
     try:

@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, Pipe
@@ -20,14 +20,20 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def share_out(do: Callable[[T], R], items: Sequence[T], num_workers: int) -> Generator[R]:
+def share_out(
+    do: Callable[[T], R], items: Sequence[T], num_workers: int, cluster: Executor | None = None
+) -> Generator[R]:
     """Do something to each item in processes, and give each result when it is there.
 
-    In this process if one worker would do it all. One thread works on each item, so that results
-    depend neither on the number of workers nor on who does what.
+    In this process if one worker would do it all; by the cluster's if there is one. One thread
+    works on each item, so that results depend neither on the number of workers nor on who does
+    what.
 
     Raises WorkerError if a process dies, and what `do` raises.
     """
+    if cluster is not None:
+        yield from _as_done(cluster, do, items)
+        return
     num_workers = min(num_workers, len(items))
     if num_workers <= 1:
         with _one_thread():
@@ -38,14 +44,18 @@ def share_out(do: Callable[[T], R], items: Sequence[T], num_workers: int) -> Gen
     wanted, want = Pipe(duplex=False)
     pool = ProcessPoolExecutor(num_workers, context, _prepare, (wanted, has_begun))
     try:
-        for future in as_completed([pool.submit(do, item) for item in items]):
-            yield future.result()
+        yield from _as_done(pool, do, items)
     except BrokenProcessPool as exc:
         raise WorkerError(_cause_of_death(num_workers, has_begun)) from exc
     finally:
         want.close()
         pool.shutdown(cancel_futures=True)
         wanted.close()
+
+
+def _as_done(executor: Executor, do: Callable[[T], R], items: Sequence[T]) -> Generator[R]:
+    for future in as_completed([executor.submit(do, item) for item in items]):
+        yield future.result()
 
 
 def num_cores() -> int:

@@ -24,6 +24,7 @@ LAYERS = {
     "durable": 0,
     "json_values": 0,
     "workers": 0,
+    "cluster": 0,
     "waiting": 0,
     "terminal": 0,
     "palette": 0,
@@ -78,6 +79,7 @@ ORDER_IN_LAYER_0 = (
     "durable",
     "json_values",
     "workers",
+    "cluster",
     "waiting",
     "terminal",
     "palette",
@@ -93,6 +95,7 @@ PLACES = {
     "matplotlib": {"evaluation", "explain", "report"},
     "shapely": {"export"},
     "gymnasium": {"gym"},
+    "ray": {"cluster"},
 }
 
 

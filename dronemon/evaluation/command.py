@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Annotated, TypeVar, cast
 
 import typer
 
+from dronemon.cluster import join_cluster
 from dronemon.errors import OptionError
 from dronemon.evaluation.evaluate import evaluate
 from dronemon.evaluation.options import (
@@ -127,6 +130,15 @@ SaveOption = Annotated[
     bool, typer.Option("--save-episodes", help="Keep the arrays of every episode.")
 ]
 WorkersOption = Annotated[int | None, typer.Option(help="Processes.", show_default="one per core")]
+RayOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="local|HOST:PORT",
+        help="Have a Ray cluster fly: that at an address, or one started here; needs "
+        "dronemon[ray].",
+        show_default=False,
+    ),
+]
 
 
 _PRESETS = {
@@ -159,6 +171,7 @@ def evaluate_command(
     horizon: HorizonOption = 30.0,
     save_episodes: SaveOption = False,
     workers: WorkersOption = None,
+    ray: RayOption = None,
 ) -> None:
     """Measure planners on simulated instances, and compare them with the paper's figures."""
     asked = {
@@ -188,7 +201,8 @@ def evaluate_command(
         save_episodes=save_episodes,
         workers=workers if workers is not None else num_cores(),
     )
-    _evaluate(options)
+    with nullcontext() if ray is None else _cluster(ray, workers, options) as cluster:
+        _evaluate(options, cluster)
 
 
 def _sweep(
@@ -229,11 +243,16 @@ def _planners(text: str, history: str | None) -> tuple[PlannerSpec, ...]:
     )
 
 
-def _evaluate(options: Options) -> None:
+def _cluster(ray: str, workers: int | None, options: Options) -> AbstractContextManager[Executor]:
+    """A Ray cluster whose nodes write episodes where this process does, if they are kept."""
+    return join_cluster(ray, workers, options.out if options.save_episodes else None)
+
+
+def _evaluate(options: Options, cluster: Executor | None) -> None:
     """Run an evaluation, and say where its results lie or how it goes on."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     try:
-        evaluate(options, console)
+        evaluate(options, console, cluster)
     except KeyboardInterrupt:
         LenientConsole(stderr=True).print(
             f"stopped; finished episodes are in {options.out}, and the same command goes on from"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import closing
 from fractions import Fraction
 from functools import cache, partial
@@ -12,9 +13,15 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from dronemon.errors import RecordError
+from dronemon.errors import OptionError, RecordError
 from dronemon.evaluation.episode import Episode, fly_episode
-from dronemon.evaluation.options import EpisodeSpec, Key, Options, PlannerSpec
+from dronemon.evaluation.options import (
+    EpisodeSpec,
+    Key,
+    Options,
+    PlannerSpec,
+    settings_digest,
+)
 from dronemon.evaluation.report import write_tables
 from dronemon.evaluation.results import Result, append_result, load_results
 from dronemon.evaluation.sections import table2_rows, ways_covered
@@ -29,7 +36,9 @@ PUBLISHED_HORIZON_AU = 30.0
 """Of the paper's tables."""
 
 
-def evaluate(options: Options, console: LenientConsole | None = None) -> list[Result]:
+def evaluate(
+    options: Options, console: LenientConsole | None = None, cluster: Executor | None = None
+) -> list[Result]:
     """Fly all episodes that the output folder does not hold yet, and write what they show.
 
     The folder gets results.jsonl, table.csv, table.md, paired.csv, figures, and with
@@ -37,6 +46,8 @@ def evaluate(options: Options, console: LenientConsole | None = None) -> list[Re
     instances, goes on where it was; episodes that other code flew are kept, with a warning.
 
     Raises OptionError, RecordError, WorkerError, and what planners raise.
+
+    cluster: flies them instead of processes of our own
     """
     console = console if console is not None else LenientConsole(stderr=True)
     try:
@@ -49,7 +60,7 @@ def evaluate(options: Options, console: LenientConsole | None = None) -> list[Re
     missing = [s for s in specs if s.key not in results or (s.path and not s.path.is_file())]
     again = set(missing)
     _warn_of_other_code([results[spec.key] for spec in specs if spec not in again], path, console)
-    with closing(_flown(missing, len(specs), options, console)) as flown:
+    with closing(_flown(missing, len(specs), options, console, cluster)) as flown:
         for result in flown:
             append_result(path, result)
             results[result.key] = result
@@ -69,10 +80,14 @@ def evaluate(options: Options, console: LenientConsole | None = None) -> list[Re
 
 
 def _flown(
-    missing: Sequence[EpisodeSpec], num_specs: int, options: Options, console: LenientConsole
+    missing: Sequence[EpisodeSpec],
+    num_specs: int,
+    options: Options,
+    console: LenientConsole,
+    cluster: Executor | None,
 ) -> Generator[Result]:
     """Fly what is missing, under a progress bar over all."""
-    flights = share_out(partial(_run, code=code_version()), missing, options.workers)
+    flights = share_out(partial(_run, code=code_version()), missing, options.workers, cluster)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     bars = Progress(*columns, TimeRemainingColumn(), console=console)
     with bars as progress, closing(flights) as flown:
@@ -99,6 +114,7 @@ def _of_others(results: Mapping[Key, Result], specs: Sequence[EpisodeSpec]) -> I
 
 def fly_spec(spec: EpisodeSpec) -> Episode:
     """Fly one episode with the planner that this process keeps for it."""
+    _check_files(spec.planner, spec.cell.motion, spec.conditions.horizon_au, spec.settings)
     instance = Instance.draw(spec.seed, spec.cell.num_targets, spec.cell.motion)
     return fly_episode(_planner(spec.planner, spec.settings), instance, spec.conditions)
 
@@ -148,6 +164,16 @@ def _warn_of_other_code(kept: Sequence[Result], path: Path, console: LenientCons
             style="yellow",
             soft_wrap=True,
             markup=False,
+        )
+
+
+@cache
+def _check_files(planner: PlannerSpec, motion: str, horizon_au: float, settings: str) -> None:
+    """Make sure that this process reads the weights and tracks that the run was begun with."""
+    if settings_digest(planner, motion, horizon_au) != settings:
+        raise OptionError(
+            f"the weights of {planner.text}, or the tracks of {motion}, are not those that the run"
+            " was begun with; have them the same wherever episodes are flown"
         )
 
 

@@ -161,6 +161,11 @@ class EpisodeSpec:
         """What tells this episode from all others."""
         return self.planner.method, self.cell, self.seed, self.settings
 
+    def __str__(self) -> str:
+        cell = self.cell
+        told = f"N = {cell.num_targets}, speed {cell.speed_ratio}, {cell.num_nodes} nodes"
+        return f"{self.planner.text} on seed {self.seed} ({told}, {cell.motion}, {cell.prior})"
+
     @property
     def path(self) -> Path | None:
         """The file of this episode's arrays, if they are kept."""
@@ -247,13 +252,10 @@ class Options:
     @cached_property
     def _settings(self) -> dict[tuple[PlannerSpec, str], str]:
         """Digest, per planner and motion, of what decides an outcome besides the rest of a key."""
-        common = {"version": __version__, "horizon": self.horizon_au}
-        weights = {p: p.weights_digest for p in self.planners}
-        tracks = {m: {"tracks": _file_digest(Path(m))} for m in self.sweep.motions if is_tracks(m)}
         return {
-            (p, m): _digest({**common, "weights": weights[p], **tracks.get(m, {})})
-            for p in self.planners
-            for m in self.sweep.motions
+            (planner, motion): settings_digest(planner, motion, self.horizon_au)
+            for planner in self.planners
+            for motion in self.sweep.motions
         }
 
     def episodes(self) -> Iterator[EpisodeSpec]:
@@ -280,6 +282,13 @@ class Options:
             settings=self._settings[planner, cell.motion],
             folder=self.out / "episodes" if self.save_episodes else None,
         )
+
+
+def settings_digest(planner: PlannerSpec, motion: str, horizon_au: float) -> str:
+    """Digest of what decides an outcome besides the rest of a key: weights, tracks, version."""
+    tracks = {"tracks": _file_digest(Path(motion))} if is_tracks(motion) else {}
+    weights = planner.weights_digest
+    return _digest({"version": __version__, "horizon": horizon_au, "weights": weights, **tracks})
 
 
 def _listed(values: Iterable[object]) -> str:

@@ -6,7 +6,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +14,7 @@ import torch
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from dronemon.cluster import join_cluster
 from dronemon.errors import OptionError
 from dronemon.terminal import LenientConsole
 from dronemon.training.peers import join_peers
@@ -51,6 +52,15 @@ WorkersOption = Annotated[
     int | None,
     typer.Option(min=1, help="Processes that give lessons.", show_default="one per core"),
 ]
+RayOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="local|HOST:PORT",
+        help="Have a Ray cluster give the lessons: that at an address, or one started here; needs "
+        "dronemon[ray], and --out in a folder that all nodes share.",
+        show_default=False,
+    ),
+]
 ValidationMinutesOption = Annotated[
     float, typer.Option(min=0.0, help="How often to fly the development seeds.")
 ]
@@ -68,6 +78,7 @@ def train_command(
     start: StartOption = None,
     device: DeviceOption = "auto",
     workers: WorkersOption = None,
+    ray: RayOption = None,
     validation_minutes: ValidationMinutesOption = 14.0,
     validation_episodes: ValidationEpisodesOption = 32,
 ) -> None:
@@ -93,11 +104,14 @@ def train_command(
         for name in names
     ]
     _set_up_process()
-    with join_peers(device) as peers:  # once: processes that part do not find each other again
+    with (
+        join_peers(device) as peers,  # once: processes that part do not find each other again
+        nullcontext() if ray is None else join_cluster(ray, workers, out) as cluster,
+    ):
         console = LenientConsole(quiet=not peers.is_first)
         for plan in plans:
             with _display(console) as display:
-                best = train(plan, peers, command=_command(), listen=display)
+                best = train(plan, peers, command=_command(), listen=display, cluster=cluster)
             if best.exists():
                 console.print(f"best weights: {best}, their card: {best.with_suffix('.md')}")
 

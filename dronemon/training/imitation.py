@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -135,6 +136,7 @@ class Expert:
         *,
         folder: Path,
         num_workers: int,
+        cluster: Executor | None = None,
     ) -> None:
         self.network = network
         self.config = config
@@ -142,6 +144,7 @@ class Expert:
         self._seed = seed
         self._folder = folder
         self._num_workers = num_workers
+        self._cluster = cluster
         self._lessons: list[Lesson] = []
         self._files: list[list[str]] = []  # of each round, over all processes
         self._num_updates = 0
@@ -184,15 +187,17 @@ class Expert:
         """Own share of a round, given by worker processes; each lesson is a file."""
         config, number, size = self.config, len(self._files), self._peers.size
         self._folder.mkdir(parents=True, exist_ok=True)
-        student = self._folder / f"student-{self._peers.rank}.pt"
+        # A name of its own: who shares the folder over a network may remember the last one's file.
+        student = self._folder / f"student-{number:04d}-{self._peers.rank}.pt"
         save_checkpoint(student, self.network, _NO_CARD)
         count = size * math.ceil(config.round_episodes / config.lesson_episodes / size)
         files = [f"round-{number:04d}-{part:02d}.pt" for part in range(count)]
         give = partial(_give, config, student, config.taught_share(number))
         own = self._own(range(count))
         jobs = [((self._seed, number, part), self._folder / files[part]) for part in own]
-        for _ in share_out(give, jobs, max(1, self._num_workers // size)):
+        for _ in share_out(give, jobs, max(1, self._num_workers // size), self._cluster):
             pass
+        student.unlink()
         self._files.append(files)
         return [self._read(name) for name in self._own(files)]
 

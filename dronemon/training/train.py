@@ -13,6 +13,7 @@ import csv
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -117,17 +118,25 @@ class _Run:
     curve: list[dict[str, float]] = field(default_factory=list)
 
 
-def train(plan: Plan, peers: Peers, *, command: str, listen: Listener) -> Path:
+def train(
+    plan: Plan,
+    peers: Peers,
+    *,
+    command: str,
+    listen: Listener,
+    cluster: Executor | None = None,
+) -> Path:
     """Train, or go on with the run in `plan.out`. -> path of the best checkpoint.
 
-    peers: the processes that train together, of which each calls this
+    peers:   the processes that train together, of which each calls this
+    cluster: gives lessons instead of processes of our own
 
     Raises CheckpointMismatch if `plan.out` holds a run of another plan, or the start is unusable;
     RecordError if `plan.out` cannot be written.
     """
     code_version()  # for the card: the files may change while it trains
     _claim(plan.out)
-    training = _Training(plan, command, peers)
+    training = _Training(plan, command, peers, cluster)
     if peers.is_first:
         (plan.out / "recipe.yaml").write_text(plan.recipe.text, encoding="utf-8")
     while training.progress < 1.0:
@@ -141,12 +150,12 @@ def train(plan: Plan, peers: Peers, *, command: str, listen: Listener) -> Path:
 class _Training:
     """A run in the folder of its plan."""
 
-    def __init__(self, plan: Plan, command: str, peers: Peers) -> None:
+    def __init__(self, plan: Plan, command: str, peers: Peers, cluster: Executor | None) -> None:
         self._plan, self._command, self._peers = plan, command, peers
         self.best = plan.out / "best.pt"
         self._network = _first_weights(plan).to(peers.device)
         peers.share_weights(self._network)
-        self._learner = _learner(plan, self._network, peers)
+        self._learner = _learner(plan, self._network, peers, cluster)
         self._run = self._resumed()
         spent_s = max(self._run.elapsed_s, _spent_s(plan))
         self._run.elapsed_s = peers.agree({"s": spent_s})["s"]  # one clock for all processes
@@ -319,12 +328,22 @@ def _first_weights(plan: Plan) -> PolicyNetwork:
         return PolicyNetwork(plan.recipe.network)
 
 
-def _learner(plan: Plan, network: PolicyNetwork, peers: Peers) -> Ppo | Expert:
+def _learner(
+    plan: Plan, network: PolicyNetwork, peers: Peers, cluster: Executor | None
+) -> Ppo | Expert:
     settings = plan.recipe.settings
     if isinstance(settings, PpoConfig):
         return Ppo(network, settings, peers, plan.seed)
     folder = plan.out / "lessons"
-    return Expert(network, settings, peers, plan.seed, folder=folder, num_workers=plan.num_workers)
+    return Expert(
+        network,
+        settings,
+        peers,
+        plan.seed,
+        folder=folder,
+        num_workers=plan.num_workers,
+        cluster=cluster,
+    )
 
 
 def _flat(facts: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
