@@ -19,7 +19,7 @@ class Battery:
     """Follows the vehicle's level and its way home.
 
     level:      0 to 1, as heard, or else as it is used up since; None if it was never heard
-    flown_to:   the level when the motors ran last; None if they did not, or it was never heard
+    flown_to:   the level when it last was in the air; None if it was not, or it was never heard
     needed:     the level that it takes to come home from here and land
     drag:       how the air brakes the vehicle; whoever guides it lets it learn
     parameters: the vehicle's energy.RETURN_PARAMETERS
@@ -62,7 +62,8 @@ class Battery:
                 roll_rad, pitch_rad, _ = pose.attitude_rad
                 self._fly(passed_s, lean_rate(roll_rad, pitch_rad))
                 self._use(passed_s, state.battery)
-                self.flown_to = self.level
+                if state.landed is not Landed.ON_GROUND:  # there a battery recovers
+                    self.flown_to = self.level
             self._follow_home(state.home, state.origin)
             (north, east, down), (home_north, home_east, home_down) = (
                 pose.position_ned_m,
