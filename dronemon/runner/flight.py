@@ -275,10 +275,9 @@ class _Flight:
     def _tell_resumed(self, frame: AreaFrame) -> None:
         """Tell where a run goes on, if one does."""
         if self._history and (tally := self._history.tally):
-            flown_au = tally.flown_m / frame.side_m
             old_s = self._link.time_s - tally.start_s - frame.au_to_s(tally.sightings.time_au)
-            what = f"goes on at {flown_au:.1f} of {self._mission.horizon_au:g} au"
-            what += f"; the last picture is {old_s:.0f} s old"
+            what = f"goes on at {tally.flown_m / frame.side_m:.1f} of "
+            what += f"{self._mission.horizon_au:g} au; the last picture is {old_s:.0f} s old"
             self._events.note("resumed", what, start_s=tally.start_s)
 
     # In the air
@@ -299,13 +298,12 @@ class _Flight:
         self._events.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
 
     async def _attach(self) -> None:
-        history = self._history
-        assert history is not None
+        assert self._history is not None
         if not self._link.state.is_armed or self._link.state.landed is Landed.ON_GROUND:
             raise VehicleError("it has landed meanwhile: resume again once it is disarmed")
-        if history.armed is not None:
-            self._home_ned_m = history.armed.home_ned_m
-            self._battery.go_on(self._link.time_s - history.armed.time_s)
+        if armed := self._history.armed:
+            self._home_ned_m = armed.home_ned_m
+            self._battery.go_on(self._link.time_s - armed.time_s)
         self._supervisor.hear_armed()
         await self._link.hold()
         self._events.note("attached", "taken over in the air")
@@ -315,6 +313,8 @@ class _Flight:
         assert self._patrol is not None  # it is prepared
         if self._rest is not None:
             self._rest.cancel()  # the patrol goes on, and looks itself
+        if self._mission.camera.gimbal:  # PX4 has turned it ahead if it was on its way home
+            self._beside(self._link.point_down, "the gimbal")
         try:
             await self._patrol.run()
         finally:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from flights import LONGER, MISSION, comes_home
+from flights import LONGER, MISSION, comes_home, give_back
 
 from dronemon.errors import CameraError, VehicleError
 from dronemon.events import Measured, Pictured
@@ -86,3 +86,12 @@ def test_the_gimbal_of_a_vehicle_that_others_fly_is_left_alone(flight):
     flight.on_link = lambda link: setattr(link.vehicle, "is_armed", True)
     assert not flight.fly().has_flown
     assert flight.link.commands == []
+
+
+def test_it_is_pointed_down_again_where_a_pilot_gives_control_back(flight):
+    """PX4 turns a gimbal ahead, and takes control of it, when it returns or lands."""
+    flight.mission_text = MISSION + GIMBAL
+    flight.when("control taken", lambda: flight.later(3.0, lambda: give_back(flight)))
+    result = flight.fly("pilot@12")
+    assert (result.outcome, result.error) == ("completed", None)
+    assert flight.link.commands.count("point down") == 3  # before arming, and at each beginning
