@@ -699,7 +699,11 @@ def test_on_a_display_a_window_opens(name: str, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.fixture
 def start_view(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts `dronemon view` on a recording; whatever of it still runs is killed with the test."""
+    """Starts `dronemon view` on a recording; whatever of it still runs is killed with the test.
+
+    It heeds Ctrl-C, which a shell has what it runs in the background ignore, and its children.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     run = tmp_path / "run"
     run.mkdir()
     for name in ("mission.yaml", "summary.json", *LINE_FILES):
@@ -721,6 +725,7 @@ def start_view(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]
             return child
 
         yield start
+    signal.signal(signal.SIGINT, before)
 
 
 def _kill_group(pid: int) -> None:
