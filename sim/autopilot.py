@@ -201,6 +201,8 @@ class Autopilot:
         self.estimate.step(STEP_S, has_gps=self.has_gps)
         self._detect_landing()
         if self.gimbal is not None:
+            if self.commander.is_armed and self.commander.mode in (Px4Mode.RTL, Px4Mode.LAND):
+                self.gimbal.look_ahead()
             self.gimbal.step(STEP_S)
         if not self.is_landed:
             self.battery_level = max(0.0, self.battery_level - STEP_S / self.endurance_s)

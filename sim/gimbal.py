@@ -39,6 +39,10 @@ class Gimbal:
         self._wanted_rad = pitch_rad, math.remainder(yaw_rad, math.tau)
         return True
 
+    def look_ahead(self) -> None:
+        """Turn ahead, and obey nobody until told who controls it: as PX4 has it on its way home."""
+        self.is_controlled, self._wanted_rad = False, (0.0, 0.0)
+
     def step(self, duration_s: float) -> None:
         """Turn on towards where it should look."""
         most_rad = _SLEW_RAD_S * duration_s

@@ -13,6 +13,7 @@ from dronemon.mission.faults import parse_fault
 from sim.control import TrajectorySetpoint
 from sim.flight import MockFlight
 from sim.gimbal import BOOT_S
+from sim.modes import Px4Mode
 from sim.world import World
 
 CONFIGURE, POINT = (
@@ -95,3 +96,21 @@ def test_the_camera_stays_level_while_the_body_tilts() -> None:
         assert simulation.scene().pose.attitude_rad == pytest.approx(expected, abs=1e-9)
     assert max(tilts) > math.radians(10.0)
     assert autopilot.body.yaw == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("mode", [Px4Mode.RTL, Px4Mode.LAND])
+def test_on_the_way_home_it_looks_ahead_and_obeys_nobody(mode: Px4Mode) -> None:
+    """As PX4 v1.17 has it, of which a flight that goes on must know."""
+    mission = make_mission(**WITH_GIMBAL)
+    autopilot = MockFlight(mission, World(mission)).autopilot
+    gimbal = autopilot.gimbal
+    assert gimbal is not None
+    gimbal.is_controlled = True
+    assert gimbal.point(-math.pi / 2.0, 0.0)
+    fly(autopilot, 6.0)
+    take_off(autopilot, 10.0)
+    assert gimbal.pitch_rad == pytest.approx(-math.pi / 2.0)
+    assert autopilot.request_mode(mode)
+    fly(autopilot, 1.5)
+    assert gimbal.pitch_rad == pytest.approx(0.0)
+    assert not gimbal.point(-math.pi / 2.0, 0.0)
