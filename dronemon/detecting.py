@@ -210,12 +210,15 @@ def _keeper(folder: Path, mission: Mission, posed: PosedPictures | None) -> Iter
     path = folder / "detections.csv"
     if path.exists() or path.with_suffix(".geojson").exists():
         raise OptionError(f"--out {folder}: has a table already; name another folder")
+    finds = _finds(mission, posed) if posed else None
     with writing("--out", path):
         table = path.open("x", encoding="utf-8", errors="backslashreplace", newline="")
     with table:
-        keeper = _Keeper(path, table, mission, _finds(mission, posed) if posed else None)
-        yield keeper
-        keeper.finish()
+        keeper = _Keeper(path, table, mission, finds)
+        try:
+            yield keeper
+        finally:
+            keeper.finish()
 
 
 def _finds(mission: Mission, posed: PosedPictures) -> Finds:

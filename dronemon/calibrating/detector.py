@@ -188,9 +188,14 @@ def _said(score: Score, height_m: float) -> str:
 
 def _text(score: Score, mission: Mission) -> str:
     """What the mission is to say."""
-    sensor = {
-        name: round(value, 4) for name, value in asdict(score.sensor(mission.area.side_m)).items()
-    }
+    try:
+        measured = asdict(score.sensor(mission.area.side_m))
+    except OptionError as exc:
+        raise CameraError(
+            f"the detector errs more than planners can reckon with: {exc}; lower "
+            "detector.min_score, fly lower, or take another detector"
+        ) from exc
+    sensor = {name: round(value, 4) for name, value in measured.items()}
     said: dict[str, object] = {"sensor": sensor}
     shares = {
         name: {other: round(share, 3) for other, share in of.items()}

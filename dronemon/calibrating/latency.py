@@ -47,6 +47,12 @@ def latency_command(
             f"{mission}, and vehicle.url there or --vehicle"
         )
 
+    if flown.camera.gimbal:
+        raise OptionError(
+            "camera.gimbal: a gimbal turns later than the drone, which would be taken for delay; "
+            "measure with the camera fixed to the drone, and camera.gimbal left out"
+        )
+
     async def measure() -> Latency:
         async with watching(flown) as (link, camera):
             return await _measure(link, camera, flown.camera.latency_s, seconds)
@@ -75,10 +81,13 @@ async def _measure(
         while True:
             poses.append(await link.next_pose())
 
-    async with asyncio.TaskGroup() as group:
-        listening = group.create_task(listen(), name="poses")
-        arrived_s, turns_rad = await _photograph(link, camera, latency_s, duration_s)
-        listening.cancel()
+    try:
+        async with asyncio.TaskGroup() as group:
+            listening = group.create_task(listen(), name="poses")
+            arrived_s, turns_rad = await _photograph(link, camera, latency_s, duration_s)
+            listening.cancel()
+    except BaseExceptionGroup as group_error:
+        raise group_error.exceptions[0] from None
     return latency_of(
         arrived_s,
         turns_rad,

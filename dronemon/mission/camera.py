@@ -52,7 +52,7 @@ class Camera(Section):
     horizontal_fov_deg: float = Field(90.0, ge=10.0, le=150.0)
     """Angle of view from the left to the right edge; with a calibration, of what is looked at."""
     calibration: str | None = None
-    """The lens, a file of `dronemon calibrate`, OpenCV or ROS; a pinhole's if absent."""
+    """The lens, a file of `dronemon calibrate intrinsics`, OpenCV or ROS; a pinhole's if absent."""
     mount_deg: Angles = (0.0, 0.0, 0.0)
     """[roll, pitch, yaw] of the camera on drone or gimbal; 0 looks down, its top to the nose."""
     gimbal: bool = False

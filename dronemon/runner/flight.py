@@ -50,9 +50,9 @@ class FlightResult:
     has_flown: whether it was armed; is_landed: whether it is down with its motors off, for sure; if
     not, last_seen has the last words, or fallen where the motors stopped in the air.
     landing_error_m: distance from where it was armed, None if it did not take off or land, or if
-    its position was not good; landing_battery: the level then.
-    tally: what the patrol did, before a resume too; None if it never began.
-    error: what went wrong, also if the drone came home after it.
+    its position was not good; landing_battery: the last level in the air; tally: what the patrol
+    did, before a resume too; None if it never began; error: what went wrong, also if the drone came
+    home after it.
     """
 
     outcome: str
@@ -313,12 +313,16 @@ class _Flight:
         assert self._patrol is not None  # it is prepared
         if self._rest is not None:
             self._rest.cancel()  # the patrol goes on, and looks itself
-        if self._mission.camera.gimbal:  # PX4 has turned it ahead if it was on its way home
-            self._beside(self._link.point_down, "the gimbal")
+        pointing = self._beside(self._point_down, "the gimbal")
         try:
             await self._patrol.run()
         finally:
+            pointing.cancel()  # whoever flies from here on is left alone
             self._rest = self._beside(self._patrol.look_at_the_rest, "the last picture")
+
+    async def _point_down(self) -> None:  # PX4 has turned it ahead if it was on its way home
+        if self._mission.camera.gimbal:
+            await self._link.point_down()
 
     def _beside(self, what: Callable[[], Awaitable[None]], name: str) -> asyncio.Task[None]:
         """Do something beside the flight; if it fails, the flight goes on."""

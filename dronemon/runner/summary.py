@@ -222,7 +222,7 @@ def how_flown(values: Mapping[str, Any]) -> dict[str, str]:
 
     table: dict[str, str] = {}
     show("landing", "{:.1f} m from home", "landing_error_m")
-    show("battery after it", "{:.0%}", "landing_battery")
+    show("battery at touch-down", "{:.0%}", "landing_battery")
     show("patrol", "{:.0f} m ({:.1f} au) in {:.0f} s", "distance_m", "distance_au", "patrol_s")
     show("ground speed", "{:.2f} m/s, p99 {:.2f} m/s", "mean_speed_m_s", "speed_p99_m_s")
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")

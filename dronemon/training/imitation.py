@@ -195,9 +195,11 @@ class Expert:
         give = partial(_give, config, student, config.taught_share(number))
         own = self._own(range(count))
         jobs = [((self._seed, number, part), self._folder / files[part]) for part in own]
-        for _ in share_out(give, jobs, max(1, self._num_workers // size), self._cluster):
-            pass
-        student.unlink()
+        try:
+            for _ in share_out(give, jobs, max(1, self._num_workers // size), self._cluster):
+                pass
+        finally:
+            student.unlink(missing_ok=True)
         self._files.append(files)
         return [self._read(name) for name in self._own(files)]
 

@@ -198,7 +198,10 @@ class VehicleLink(Protocol):
         """Replace the vehicle's fence, and read it back."""
 
     async def point_down(self) -> None:
-        """Take control of the gimbal and have it look straight down, with the vehicle's heading."""
+        """Take control of the gimbal and have it look straight down, with the vehicle's heading.
+
+        Raises ControlTaken where somebody arms or flies the vehicle meanwhile.
+        """
 
     async def arm(self) -> None:
         """Start the motors."""

@@ -204,7 +204,14 @@ class MavsdkLink:
 
     async def point_down(self) -> None:
         """Take control of the gimbal and have it look straight down."""
-        await point_down(self._wire, self._heard, self._attempt_timeout_s)
+        was_armed = self.state.is_armed
+
+        def check() -> None:
+            self._modes.check(self.state)
+            if self.state.is_armed and not was_armed:
+                raise ControlTaken("it was armed meanwhile: others fly it", by_failsafe=False)
+
+        await point_down(self._wire, self._heard, self._attempt_timeout_s, check)
 
     async def _confirm(self, what: str, command: Command, condition: Callable[[], bool]) -> None:
         """Send a command until telemetry since then shows its effect, three times at most."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 
 from dronemon.errors import CommandRejected, CommandUnconfirmed
 from dronemon.frames import camera_to_ned, off_down_rad
@@ -17,18 +18,21 @@ _ATTEMPTS = 3
 _WANTED_HZ = 10.0
 
 
-async def point_down(wire: Wire, heard: Hearing, attempt_timeout_s: float) -> None:
+async def point_down(
+    wire: Wire, heard: Hearing, attempt_timeout_s: float, check: Callable[[], None]
+) -> None:
     """Take control of the gimbal and have it look down, three times at most; yaw is the vehicle's.
 
     attempt_timeout_s: vehicle time for each
-    Raises CommandRejected, CommandUnconfirmed, LinkLost.
+    check:             raises what forbids to command anything
+    Raises CommandRejected, CommandUnconfirmed, LinkLost, and what `check` raises.
     """
     for message_id in GIMBAL_MESSAGES.values():
         with contextlib.suppress(CommandUnconfirmed):  # a gimbal of its own sends it unasked
-            await wire.command(Command.stream(message_id, _WANTED_HZ))
+            await wire.command(Command.stream(message_id, _WANTED_HZ), check)
     problem: CommandRejected | CommandUnconfirmed | None = None
     for _ in range(_ATTEMPTS):
-        if problem := await _refusal(wire):
+        if problem := await _refusal(wire, check):
             continue
         problem = await _what_is_seen(heard, attempt_timeout_s)
         if problem is None:
@@ -37,12 +41,12 @@ async def point_down(wire: Wire, heard: Hearing, attempt_timeout_s: float) -> No
     raise problem
 
 
-async def _refusal(wire: Wire) -> CommandRejected | None:
+async def _refusal(wire: Wire, check: Callable[[], None]) -> CommandRejected | None:
     """Ask. -> why it is not obeyed, if it is not"""
     commands = {"taking control": Command.take_gimbal(*wire.own), "looking down": LOOK_DOWN}
     for what, command in commands.items():
         with contextlib.suppress(CommandUnconfirmed):
-            await wire.command(command)
+            await wire.command(command, check)
         if (answer := wire.answer(command)) != ACCEPTED:
             return CommandRejected(
                 f"the gimbal, {what}: asked {_ATTEMPTS} times ({answer}); is the autopilot set up "

@@ -109,7 +109,8 @@ class Lens:
             return cls._parse(data)
         except _UNREADABLE as exc:
             raise CameraError(
-                f"{path}: no calibration as OpenCV, ROS or `dronemon calibrate` writes it: {exc}"
+                f"{path}: no calibration as OpenCV, ROS or `dronemon calibrate intrinsics` "
+                f"writes it: {exc}"
             ) from exc
 
     @classmethod

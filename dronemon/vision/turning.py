@@ -123,6 +123,8 @@ def _refined(errors: FloatArray, best: int, num_pairs: int) -> dict[str, float]:
     middle = max(best, 1)
     left, least, right = errors[middle - 1 : middle + 2]
     curvature = (left - 2.0 * least + right) / _STEP_S**2
+    if not curvature > 0.0:
+        raise CameraError("no delay fits better than others; turn it faster, to and fro, unevenly")
     bottom_s = _STEP_S * middle - (right - left) / (2.0 * _STEP_S) / curvature
     variance = errors[best] / (num_pairs - 1)
     return {
