@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from dronemon.frames import ground_to_pixel, pixel_to_ground
-from dronemon.types import CameraModel, Detection, FloatArray, ImageArray, Pose
+from dronemon.types import APPEARANCES, CameraModel, Detection, FloatArray, ImageArray, Pose
 from dronemon.vision.prototypes import (
     COAT_COLOURS,
     COAT_SHADES,
@@ -68,9 +68,9 @@ class DrawnDetector:
     """
 
     def __init__(self, appearances: Sequence[str], camera: CameraModel, min_score: float) -> None:
-        unknown = sorted(set(appearances) - set(PROTOTYPES))
+        unknown = sorted(set(appearances) - set(APPEARANCES))
         if unknown:
-            raise ValueError(f"no prototype is known for {unknown}; known are {sorted(PROTOTYPES)}")
+            raise ValueError(f"{unknown} are not drawn; {', '.join(APPEARANCES)} are")
         self._appearances = frozenset(appearances)
         self._camera = camera
         self._min_score = min_score

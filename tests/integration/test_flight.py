@@ -163,7 +163,7 @@ def _errors_m(flight: Flight, side_m: float) -> list[float]:
 def test_people_and_vehicles_are_watched_to_the_end(
     fly: Callable[..., Flight], mission: str, side_m: float
 ):
-    flight = fly("--mission", mission, "--horizon-au", "2.5", "--speed-up", "10")
+    flight = fly("--mission", mission, "--horizon-au", "2.5", "--speed-up", "5")
     code, output = flight.finish()
     assert code == 0, output
     summary = flight.summary()
