@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from dronemon.camera import (
@@ -20,8 +21,9 @@ from dronemon.camera import (
 )
 from dronemon.camera.taken import checked_place, number
 from dronemon.detecting import EveryOption, PosesOption, time_of_each
-from dronemon.errors import OptionError
+from dronemon.errors import CameraError, OptionError
 from dronemon.events import Audience
+from dronemon.feasibility import needed_px_per_m
 from dronemon.flight_options import DEFAULT_MISSION
 from dronemon.frames import GeoPoint
 from dronemon.mission import Mission, find_mission, load_mission
@@ -31,6 +33,7 @@ from dronemon.runner.rewatch import Rewatch
 from dronemon.runner.summary import Flown, flown, how_flown
 from dronemon.runner.watch import in_words
 from dronemon.terminal import FlightDisplay, console, facts_table, print_warning
+from dronemon.types import FloatArray
 from dronemon.vision.lens import Rectifier
 from dronemon.vision.registry import make_detector
 from dronemon.viz import FlightView
@@ -70,6 +73,7 @@ def rewatch_command(
     taken = read_posed(pictures, poses, of.camera).every(every)
     at = taken.start if home is None else _home(home)
     looked = Rewatch(of, taken, at, known_places_au(of, None), make_detector(of))
+    _check_detail(of, looked.heights_m)
     camera = _camera(of, taken)
     if unknown := [target.name for target in of.targets if target.prior_au == "simulated"]:
         print_warning(f"prior_au is simulated, and so unknown here, of {', '.join(unknown)}")
@@ -82,6 +86,18 @@ def rewatch_command(
         recorder.finish(outcome, {**asdict(came_to), "num_blind": looked.num_blind})
     console.print(facts_table(of.name, _facts(came_to, looked)))
     raise typer.Exit(_INTERRUPTED if outcome == _ENDED else 0)
+
+
+def _check_detail(mission: Mission, heights_m: FloatArray) -> None:
+    """See whether the detector can find anything from so high. Raises CameraError."""
+    needed, height_m = needed_px_per_m(mission), float(np.median(heights_m))
+    focal_px = mission.camera.model.focal_px
+    if needed is not None and focal_px < needed * height_m:
+        raise CameraError(
+            f"most pictures were taken from {height_m:.0f} m, where a metre is less than the "
+            f"{needed:g} pixels that the detector needs (from {focal_px / needed:.0f} m); is the "
+            "altitude given above the sea instead of above the start?"
+        )
 
 
 def _look(looked: Rewatch, camera: FrameSource, recorder: RunRecorder, mission: Mission) -> str:

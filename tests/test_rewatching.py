@@ -189,6 +189,20 @@ def test_pictures_that_say_nothing_are_counted_and_told(
     assert "said nothing" in capsys.readouterr().out
 
 
+def test_heights_above_the_sea_are_not_believed(mission: str, tmp_path: Path) -> None:
+    """Nothing is found from so high, which would count as nobody there."""
+    save_with_table(tmp_path / "high", lanes([(0.0, 0.0, 0.0)])[:3])
+    table = tmp_path / "high" / "poses.csv"
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    with table.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows({**row, "altitude_m": 1500.0 + float(row["altitude_m"])} for row in rows)
+    with pytest.raises(CameraError, match=r"from 1535 m, .* above the sea instead"):
+        rewatch_command(tmp_path / "high", mission, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     ("number", "words"),
     [

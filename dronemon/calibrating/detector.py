@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 
 from dronemon.camera import check_size
 from dronemon.camera.pictures import pictures_of
-from dronemon.errors import CameraError, OptionError
+from dronemon.errors import CameraError, OptionError, did_you_mean
 from dronemon.flight_options import DEFAULT_MISSION
 from dronemon.mission import Mission, find_mission, load_mission
 from dronemon.terminal import console, print_warning
@@ -72,22 +72,38 @@ def detector_command(
     """
     flown = load_mission(find_mission(mission)).mission
     height_m = height_m or flown.flight.altitude_m
-    score = _score(pictures, _read_labels(labels), flown, height_m, within_m)
+    shown = _read_labels(labels)
+    score = _score(pictures, shown, flown, height_m, within_m)
     if not score.num_labelled:
         watched = ", ".join(score.labelled)
         raise OptionError(
             f"--labels {labels}: has nothing of what the mission watches ({watched}) within "
             f"{flown.sensor_radius_m:g} m of the pictures' middles"
         )
+    _warn_of_left_out(score, [label for here in shown.values() for label in here])
     console.print(_table(score))
     console.print(_said(score, height_m), soft_wrap=True, markup=False)
     few = [name for name, number in score.labelled.items() if number < _FEW]
     if few:
-        print_warning(f"fewer than {_FEW} labels of {', '.join(few)}: their shares are rough")
+        print_warning(f"fewer than {_FEW} labels of {', '.join(few)}: their shares are guesses")
     for name, taken in score.taken_for.items():
         if score.labelled[name] and not taken[name]:
             print_warning(f"{name} is never found as itself; this detector cannot watch it")
     console.print(_text(score, flown), soft_wrap=True, markup=False, highlight=False)
+
+
+def _warn_of_left_out(score: Score, labels: Sequence[Detection]) -> None:
+    """Say which labels do not count."""
+    others = Counter(label.appearance for label in labels if label.appearance not in score.labelled)
+    for name, number in others.items():
+        watched = did_you_mean(name, score.labelled)
+        print_warning(
+            f"{number} labels of {name!r:.40}, which the mission does not watch. {watched}"
+        )
+    if beyond := len(labels) - others.total() - score.num_labelled:
+        print_warning(
+            f"{beyond} of {len(labels)} labels lie beyond the sensor's circle: not counted"
+        )
 
 
 def _score(
@@ -115,7 +131,12 @@ def _score(
             found = look(detector, image, pose, 0.0)
         except CameraError as exc:
             raise CameraError(f"{name}: {exc}") from exc
-        shown = [label for label in labels.get(name, ()) if label.appearance in score.labelled]
+        here = labels.get(name, ())
+        for label in here:
+            u_px, v_px = label.pixel_px
+            if not (0.0 <= u_px <= camera.width_px and 0.0 <= v_px <= camera.height_px):
+                raise OptionError(f"--labels: {u_px:g}, {v_px:g} is no place in {name}")
+        shown = [label for label in here if label.appearance in score.labelled]
         told = [find for find in found if find.appearance in score.labelled]
         score.add(shown, told, m_per_px, counts)
     if strangers := sorted(set(labels) - names):

@@ -116,5 +116,5 @@ def _tell(result: Calibrated, num_seen: int) -> None:
 def _size(board: str) -> tuple[int, int]:
     columns, _, rows = board.partition("x")
     if not (columns.isdecimal() and rows.isdecimal() and 3 <= min(int(columns), int(rows)) <= 50):
-        raise OptionError(f"--board {board!r}: is no size such as 9x6, at least 3x3")
+        raise OptionError(f"--board {board!r}: is no size such as 9x6, from 3x3 to 50x50")
     return int(columns), int(rows)

@@ -65,6 +65,11 @@ class Rewatch:
         self._freshness = Freshness()
         self._num_in_a_row = 0  # that said nothing
 
+    @property
+    def heights_m(self) -> FloatArray:
+        """Height of each picture above the ground of the start. -> (P,)"""
+        return np.array([self._frame.height_m(pose.position_ned_m[2]) for pose in self._poses])
+
     def _check_area(self) -> None:
         places_au = self._frame.ned_to_au(np.array([pose.position_ned_m for pose in self._poses]))
         out_au = np.linalg.norm(np.maximum(np.abs(places_au - 0.5) - 0.5, 0.0), axis=-1)

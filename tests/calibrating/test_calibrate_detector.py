@@ -68,7 +68,10 @@ def test_what_is_measured_is_what_a_mission_can_say(
     assert said["sensor"]["position_au"] < 0.01
     assert "3 pictures from 60 m, 1 finds of nothing" in out
     assert "fewer than 100 labels of red, blue" in " ".join(err.split())
-    assert "blue is never found as itself" in " ".join(err.split())
+    said_of = " ".join(err.split())
+    assert "blue is never found as itself" in said_of
+    assert "1 labels of 'green', which the mission does not watch" in said_of
+    assert "1 of 6 labels lie beyond the sensor's circle" in said_of
     (folder / "told.yaml").write_text(MISSION + yaml.safe_dump({"sensor": said["sensor"]}))
     told = load_checked(str(folder / "told.yaml"), {}, None).mission
     assert told.sensor.model.miss == 0.5
@@ -84,6 +87,7 @@ def test_what_is_measured_is_what_a_mission_can_say(
         (["a.png,,,1,1"], HEAD, "line 2: needs a picture"),
         (["a.png,red,,1,1", "a.png,red,,1,1"], HEAD, "line 3: is there already"),
         (["z.png,red,,140,140"], HEAD, "'z.png' is no picture of"),
+        (["a.png,red,,1e9,20"], HEAD, "1e\\+09, 20 is no place in a.png"),
         (["a.png,red,,20,20"], HEAD, r"has nothing of what the mission watches \(red, blue\)"),
         ([], HEAD, "has nothing of what the mission watches"),
     ],
