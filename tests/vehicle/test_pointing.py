@@ -11,7 +11,7 @@ import pytest
 from air import Air
 from pymavlink.dialects.v20 import common as mavlink
 
-from dronemon.errors import CommandRejected, CommandUnconfirmed
+from dronemon.errors import CommandRejected, CommandUnconfirmed, ControlTaken
 from dronemon.frames import attitude_of, camera_to_ned
 from sim.streams import quaternion
 
@@ -118,3 +118,27 @@ def test_a_gimbal_that_looked_down_and_fell_silent_is_not_believed():
             await link.point_down()
 
     air.run(story, command_timeout_s=3.0)
+
+
+@pytest.mark.slow
+def test_nothing_more_is_commanded_once_somebody_arms_the_vehicle():
+    air = GimbalAir()
+    air.looks((1, 154))
+    air.told_deg = 0.0  # it looks ahead, so that it would be asked again
+    sent = []
+
+    def arms(number):
+        sent.append(number)
+        if number == POINT:
+            air.beats((1, 1), is_armed=True)
+
+    air.on_command = arms
+
+    async def story(link):
+        await link.next_pose()
+        with pytest.raises(ControlTaken, match="armed meanwhile"):
+            await link.point_down()
+        assert link.state.is_armed
+
+    air.run(story, command_timeout_s=6.0)
+    assert sent.count(POINT) == 1
