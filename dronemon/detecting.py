@@ -92,7 +92,7 @@ def detect_command(
         keeper = stack.enter_context(_keeper(out, flown, posed)) if out is not None else None
         stack.callback(_sum_up, took_s, found_in)
         for name, image, pose in chain([first], pictures):
-            with _naming(name):
+            with naming(name):
                 check_size(image, flown.camera.model)
                 image = image if rectifier is None else rectifier(image)
                 began_s = time.perf_counter()
@@ -155,7 +155,7 @@ def time_of_each(took_s: Sequence[float]) -> str:
 
 
 @contextmanager
-def _naming(picture: str) -> Iterator[None]:
+def naming(picture: str) -> Iterator[None]:
     """Say of which picture an error is."""
     try:
         yield

@@ -18,6 +18,7 @@ from scipy.stats import binomtest
 
 from dronemon.camera import check_size
 from dronemon.camera.pictures import pictures_of
+from dronemon.detecting import HeightOption, MissionOption, naming
 from dronemon.errors import CameraError, OptionError, did_you_mean
 from dronemon.flight_options import DEFAULT_MISSION
 from dronemon.mission import Mission, find_mission, load_mission
@@ -40,17 +41,6 @@ LabelsOption = Annotated[
     typer.Option(
         help="CSV of what the pictures show, with picture, appearance, u_px and v_px: what"
         " `dronemon detect --out` wrote, put right by hand.",
-    ),
-]
-MissionOption = Annotated[
-    str, typer.Option("--mission", "-m", help="Whose camera, detector and targets.")
-]
-HeightOption = Annotated[
-    float | None,
-    typer.Option(
-        min=1.0,
-        help="Height in m they were taken from, straight down.",
-        show_default="the patrol's",
     ),
 ]
 WithinOption = Annotated[
@@ -125,12 +115,10 @@ def _score(
     names = set()
     for name, image in pictures_of(source):
         names.add(name)
-        try:
+        with naming(name):
             check_size(image, camera)
             image = image if rectifier is None else rectifier(image)
             found = look(detector, image, pose, 0.0)
-        except CameraError as exc:
-            raise CameraError(f"{name}: {exc}") from exc
         here = labels.get(name, ())
         for label in here:
             u_px, v_px = label.pixel_px

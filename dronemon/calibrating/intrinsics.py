@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from dronemon.camera.pictures import pictures_of
+from dronemon.detecting import EveryOption
 from dronemon.errors import CameraError, OptionError, writing
 from dronemon.terminal import console, print_path
 from dronemon.vision.calibration import Board, Calibrated, Points, calibrate
@@ -34,7 +35,6 @@ LensOption = Annotated[Path, typer.Option(help="File to write, for camera.calibr
 FisheyeOption = Annotated[
     bool, typer.Option("--fisheye", help="For lenses that see more than about 120 degrees.")
 ]
-EveryOption = Annotated[int, typer.Option(min=1, help="Look at every n-th picture only.")]
 
 
 def intrinsics_command(

@@ -43,7 +43,7 @@ class Finds:
         pixels_px = np.array([d.pixel_px for d in found]).reshape(-1, 2)
         camera, surface = self._mission.camera.model, self._surface
         places_m = surface.places(pixels_px, camera, pose)
-        told = told_covariance(self._mission.errors, pose, (0.0, 0.0, 0.0), None, None)
+        told = told_covariance(self._mission.errors, pose)
         errors_m = radius_m(ground_covariance(pixels_px, camera, pose, surface, told))
         rows = list[tuple[str, ...]]()
         for detection, (north_m, east_m), error_m in zip(

@@ -138,7 +138,7 @@ class Rewatch:
         check_picture(picture, self._mission.camera.model, self.time_s, -math.inf)
         self._freshness.check(picture, pose)
         began_s = time.perf_counter()
-        told = told_covariance(self._mission.errors, pose, (0.0, 0.0, 0.0), None, None)
+        told = told_covariance(self._mission.errors, pose)
         shot = Shot(picture=picture, pose=pose, told=told)
         glance = await asyncio.to_thread(self._eyes.look, shot, self.tally.start_s)
         self.took_s.append(time.perf_counter() - began_s)

@@ -22,7 +22,7 @@ from dronemon.vehicle.fence_items import FenceItem
 from dronemon.vehicle.hearing import Hearing
 from dronemon.vehicle.link import AIRBORNE, BY_STICKS, Mode, Setpoint, StatusText, VehicleState
 from dronemon.vehicle.pointing import point_down
-from dronemon.vehicle.px4 import RUN_CHECKS, Command
+from dronemon.vehicle.px4 import ACCEPTED, NO_ANSWER, RUN_CHECKS, Command
 from dronemon.vehicle.readiness import problems
 from dronemon.vehicle.vehicle_clock import LATE_MS
 from dronemon.vehicle.wire import Wire
@@ -236,7 +236,7 @@ class MavsdkLink:
         """
         is_fresh = self._telemetry.num_heartbeats > num_heartbeats + 1
         is_flown = self.state.is_armed and self.state.mode in BY_STICKS
-        if is_fresh and is_flown and self._wire.answer(command) == "accepted":
+        if is_fresh and is_flown and self._wire.answer(command) == ACCEPTED:
             raise ControlTaken(
                 f"{what} was accepted, and the mode is '{self.state.mode}': the pilot flies by "
                 "sticks",
@@ -246,7 +246,7 @@ class MavsdkLink:
     def _failure(self, what: str, command: Command, num_texts: int) -> VehicleError:
         """The error of a command without effect, with what the autopilot said since."""
         answer = self._wire.answer(command)
-        error = CommandUnconfirmed if answer in {"accepted", "no answer"} else CommandRejected
+        error = CommandUnconfirmed if answer in {ACCEPTED, NO_ANSWER} else CommandRejected
         return error(
             f"{what}: asked {_ATTEMPTS} times without effect ({answer}); telemetry says "
             f"{self.state.describe()}{self._said_since(num_texts)}"

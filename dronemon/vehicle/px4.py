@@ -117,7 +117,7 @@ LOOK_DOWN = Command(
 """Have the gimbals look straight down, with the vehicle's heading."""
 RUN_CHECKS = Command(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
 """Say what is against arming."""
-ACCEPTED = "accepted"
+ACCEPTED, NO_ANSWER = "accepted", "no answer"
 ANSWERS = {
     mavlink.MAV_RESULT_ACCEPTED: ACCEPTED,
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now",

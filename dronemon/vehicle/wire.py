@@ -31,7 +31,13 @@ from dronemon.vehicle.fence_items import FenceItems
 from dronemon.vehicle.gimbal import GIMBAL_COMPONENTS, GIMBAL_MESSAGES
 from dronemon.vehicle.neighbours import autopilots, choose
 from dronemon.vehicle.parameters import Parameters
-from dronemon.vehicle.px4 import ANSWERS, AUTOPILOT_COMPONENT, REMOTE_ID_STATUS, Command
+from dronemon.vehicle.px4 import (
+    ANSWERS,
+    AUTOPILOT_COMPONENT,
+    NO_ANSWER,
+    REMOTE_ID_STATUS,
+    Command,
+)
 
 _LISTEN_S = 1.5
 _SENDS, _RESEND_S = 4, 0.6
@@ -268,7 +274,7 @@ class Wire:
     def answer(self, command: Command) -> str:
         """The autopilot's newest answer to a command, in words."""
         result = self._results.get(command.number)
-        return "no answer" if result is None else ANSWERS.get(result, f"result {result}")
+        return NO_ANSWER if result is None else ANSWERS.get(result, f"result {result}")
 
     async def round_trip(self) -> float:
         """Send pings until one is answered. -> the wall time that it took, in s.

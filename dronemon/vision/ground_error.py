@@ -30,9 +30,9 @@ _FORWARD, _DOWN = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 def told_covariance(
     errors: PlaceErrors,
     pose: Pose,
-    turn_rad_s: Vector3,
-    accuracy_m: float | None,
-    height_accuracy_m: float | None,
+    turn_rad_s: Vector3 = (0.0, 0.0, 0.0),
+    accuracy_m: float | None = None,
+    height_accuracy_m: float | None = None,
 ) -> FloatArray:
     """S: of what tells a place. -> (9, 9)
 
