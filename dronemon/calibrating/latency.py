@@ -14,6 +14,7 @@ from dronemon.connections import watching
 from dronemon.errors import OptionError
 from dronemon.feasibility import load_checked
 from dronemon.flight_options import NamedMission, VehicleUrl
+from dronemon.mission import Mission
 from dronemon.terminal import console, print_warning
 from dronemon.types import FloatArray, Picture, Pose
 from dronemon.vehicle import VehicleLink
@@ -41,17 +42,7 @@ def latency_command(
         raise OptionError("--mission: name the mission whose vehicle and camera are to be measured")
     overrides = {} if vehicle is None else {("vehicle", "url"): ("--vehicle", vehicle)}
     flown = load_checked(mission, overrides, None).mission
-    if flown.vehicle.is_mock or flown.camera.is_simulated:
-        raise OptionError(
-            "a camera of your own on a vehicle of your own is measured: set camera.url in "
-            f"{mission}, and vehicle.url there or --vehicle"
-        )
-
-    if flown.camera.gimbal:
-        raise OptionError(
-            "camera.gimbal: a gimbal turns later than the drone, which would be taken for delay; "
-            "measure with the camera fixed to the drone, and camera.gimbal left out"
-        )
+    _check_measurable(flown, mission)
 
     async def measure() -> Latency:
         async with watching(flown) as (link, camera):
@@ -68,6 +59,20 @@ def latency_command(
     if found.error_s > _GOOD_ERROR_S:
         print_warning(
             f"more than {_GOOD_ERROR_S:g} s of error is a lot: turn it faster, for longer"
+        )
+
+
+def _check_measurable(mission: Mission, file: str) -> None:
+    """Raises OptionError where turns of pictures and vehicle would not tell the delay."""
+    if mission.vehicle.is_mock or mission.camera.is_simulated:
+        raise OptionError(
+            "a camera of your own on a vehicle of your own is measured: set camera.url in "
+            f"{file}, and vehicle.url there or --vehicle"
+        )
+    if mission.camera.gimbal:
+        raise OptionError(
+            "camera.gimbal: a gimbal turns later than the drone, which would be taken for delay; "
+            "measure with the camera fixed to the drone, and camera.gimbal left out"
         )
 
 
