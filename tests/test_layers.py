@@ -93,7 +93,7 @@ PLACES = {
     "cv2": {"vision", "camera", "explain"},
     "pymavlink": {"vehicle"},
     "matplotlib": {"evaluation", "explain", "report"},
-    "shapely": {"export"},
+    "shapely": {"arena", "export", "outline"},
     "gymnasium": {"gym"},
     "ray": {"cluster"},
 }

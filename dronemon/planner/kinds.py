@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dronemon.planner import walking
+from dronemon.planner.moving import Walls
 from dronemon.planner.settings import MotionSettings
 from dronemon.planner.walking import CURVATURE, KIND, X, Y
 from dronemon.sensor import Sensor
@@ -21,11 +22,11 @@ class KindBelief:
     """
 
     def __init__(
-        self, motion: MotionSettings, sensor: Sensor, bounds: FloatArray, rng: np.random.Generator
+        self, motion: MotionSettings, sensor: Sensor, walls: Walls, rng: np.random.Generator
     ) -> None:
-        """bounds: (2, 2) au the arena's."""
+        """walls: within which targets stay."""
         self._motion, self._sensor = motion, sensor
-        self._bounds, self._rng = bounds, rng
+        self._walls, self._rng = walls, rng
         self.table = walking.table_of(motion.kinds)
         self._log_weights = np.zeros(len(motion.kinds))
 
@@ -78,7 +79,7 @@ class KindBelief:
         walkers = deck[self._rng.integers(len(deck), size=count * _NUM_WALKS)]
         self._become(walkers, np.repeat(np.arange(count), _NUM_WALKS), deck)
         lives = walking.outlived(
-            walkers, stops, self.table, self._bounds, self._sensor.untold, self._rng
+            walkers, stops, self.table, self._walls, self._sensor.untold, self._rng
         )
         width = self._motion.closeness_au + 2.0 * self._sensor.position_au
         width += self._motion.closeness_share * walked_au

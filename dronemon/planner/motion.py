@@ -54,7 +54,7 @@ def step_towards(position_au: FloatArray, goal_au: FloatArray, step_au: float) -
 
 def orbit(position_au: FloatArray, centre_au: FloatArray, arena: Arena) -> FloatArray:
     """Next corner of a small hexagon around a point, for an agent that cannot stop. -> (2,)."""
-    centre = arena.clip(centre_au, ORBIT_RADIUS_AU)
+    centre = arena.clip_free(centre_au, ORBIT_RADIUS_AU)
     offset = position_au - centre
     bearing = math.atan2(offset[1], offset[0]) + ORBIT_STEP_RAD
     return centre + ORBIT_RADIUS_AU * np.array([math.cos(bearing), math.sin(bearing)])

@@ -19,6 +19,7 @@ import numpy as np
 from dronemon.arena import ARENA, Arena
 from dronemon.planner import walking
 from dronemon.planner.kinds import KindBelief
+from dronemon.planner.moving import Walls
 from dronemon.planner.settings import MotionSettings
 from dronemon.planner.speeds import SpeedBelief
 from dronemon.planner.walking import CURVATURE, HEADING, RESTING, SPEED, X, Y
@@ -97,7 +98,8 @@ class ParticleBelief:
         number is Poisson, that share of it is left, whatever was found meanwhile.
         """
         self._motion = motion
-        self._arena, self._bounds = arena, arena.bounds
+        self._arena = arena
+        self._walls = Walls.of(arena, arena.field)
         self._sensor = sensor
         self._rng = rng
         self._num_imagined = num_imagined
@@ -105,7 +107,7 @@ class ParticleBelief:
         self._num_learned = 0
         self.time_au = 0.0
         self.speed = SpeedBelief(motion, sensor, len(priors_au) + num_imagined)
-        self.kinds = KindBelief(motion, sensor, self._bounds, rng)
+        self.kinds = KindBelief(motion, sensor, self._walls, rng)
         imagined_au = np.full((num_imagined, 2), np.nan)
         priors_au = np.concatenate([priors_au, imagined_au])
         self.targets = [self._begin(i, prior_au) for i, prior_au in enumerate(priors_au)]
@@ -150,7 +152,7 @@ class ParticleBelief:
             self._walk(target.walkers, duration)
 
     def _walk(self, walkers: FloatArray, duration_au: float) -> None:
-        walking.walk(walkers, duration_au, self.kinds.table, self._bounds, self._rng)
+        walking.walk(walkers, duration_au, self.kinds.table, self._walls, self._rng)
 
     def futures(
         self, num_particles: int, num_steps: int, interval_au: float
@@ -347,7 +349,7 @@ class ParticleBelief:
                 self._dealt(index),
                 _stops(sight, *misses),
                 self.kinds.table,
-                self._bounds,
+                self._walls,
                 self._sensor.untold,
                 self._rng,
             )

@@ -1,7 +1,7 @@
 """Candidate paths and the search among them: the compiled inside of the search.
 
-A path is a list of goals, flown to one after the other, straight or along a roadmap's shortest
-paths; what counts are the places where it measures.
+A path is a list of goals, flown to one after the other, straight, around corners or along a
+roadmap's shortest paths; what counts are the places where it measures.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ class Found(NamedTuple):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def draw_goal(forecast, k, x, y, age, forget_steps, power, is_guided, scatter, goal, rng):  # type: ignore[no-untyped-def]
+def draw_goal(forecast, walls, k, x, y, age, forget_steps, power, is_guided, scatter, goal, rng):  # type: ignore[no-untyped-def]
     """Draw where to fly next: mostly where a particle will be when it is reached. -> its target.
 
     age: (N,) steps since each target was seen, less k
     """
     if rng.random() < 0.06:
-        goal[0], goal[1] = drawn(forecast.bounds, rng)
+        goal[0], goal[1] = drawn(walls, rng)
         return -1
     num_targets = age.shape[0]
     weight = np.ones(num_targets)
@@ -99,7 +99,7 @@ def draw_goal(forecast, k, x, y, age, forget_steps, power, is_guided, scatter, g
     bearing = 2.0 * math.pi * rng.random()
     x = forecast.x[arrival, p] + off * math.cos(bearing)
     y = forecast.y[arrival, p] + off * math.sin(bearing)
-    goal[0], goal[1] = clipped(forecast.bounds, x, y)
+    goal[0], goal[1] = clipped(walls, x, y)
     return target
 
 
@@ -110,14 +110,14 @@ def _copy(to, row, source, source_row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def refine(goals, count, forecast, size, rng):  # type: ignore[no-untyped-def]
+def refine(goals, count, forecast, walls, size, rng):  # type: ignore[no-untyped-def]
     """Change a goal a little: move, drop, insert, swap, or cut the list there. -> its length."""
     g = int(rng.random() * min(count, 6))
     kind = rng.random()
     if kind < 0.6:
         reach = size * 2.0 ** (2.0 - 4.0 * rng.random())
         x, y = goals[g, 0] + reach * rng.normal(), goals[g, 1] + reach * rng.normal()
-        goals[g, 0], goals[g, 1] = clipped(forecast.bounds, x, y)
+        goals[g, 0], goals[g, 1] = clipped(walls, x, y)
         return count
     if kind < 0.7:
         for c in range(g, count - 1):
@@ -128,10 +128,10 @@ def refine(goals, count, forecast, size, rng):  # type: ignore[no-untyped-def]
             _copy(goals, c, goals, c - 1)
         if rng.random() < 0.5:
             k, p = int(rng.random() * forecast.x.shape[0]), int(rng.random() * forecast.x.shape[1])
-            goals[g, 0], goals[g, 1] = forecast.x[k, p], forecast.y[k, p]
+            x, y = forecast.x[k, p], forecast.y[k, p]
         else:
             x, y = goals[g, 0] + 2.0 * size * rng.normal(), goals[g, 1] + 2.0 * size * rng.normal()
-            goals[g, 0], goals[g, 1] = clipped(forecast.bounds, x, y)
+        goals[g, 0], goals[g, 1] = clipped(walls, x, y)
         return count + 1
     if kind < 0.93:
         other = int(rng.random() * count)
@@ -166,7 +166,7 @@ def search(start, ground, options, forecast, tables, effort, last_goals, num_las
         elif c >= effort.num_drawn and best_count > 0:
             for m in range(best_count):
                 _copy(goals, m, best_goals, m)
-            count = refine(goals, best_count, forecast, effort.refine_au, rng)
+            count = refine(goals, best_count, forecast, ground.walls, effort.refine_au, rng)
         elif options.shape[0] > 0 and c % 2 == 0:
             count = 1
             option = options[(c // 2) % options.shape[0]]
@@ -182,6 +182,7 @@ def search(start, ground, options, forecast, tables, effort, last_goals, num_las
             if g >= count:
                 target = draw_goal(
                     forecast,
+                    ground.walls,
                     k,
                     x,
                     y,

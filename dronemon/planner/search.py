@@ -61,13 +61,7 @@ class SearchPlanner:
         self._num_goals = 0
 
     def _make_ground(self, roadmap: Roadmap) -> moving.Ground:
-        """Free flight: no nodes."""
-        return moving.Ground(
-            nodes=np.empty((0, 2)),
-            next_hop=np.empty((0, 0), dtype=np.int64),
-            nearest=np.empty((0, 0), dtype=np.int64),
-            bounds=self._arena.bounds,
-        )
+        return moving.Ground.of(self._arena)
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """One step along the best path found."""
@@ -77,11 +71,12 @@ class SearchPlanner:
         start = paths.Start(x_au, y_au, -1, due_au)
         found = self._search(snapshot, start, np.empty(0, dtype=np.int64))
         path_au = found.path_au
-        if not _is_found(found.gain) or math.dist(path_au[0], snapshot.position_au) <= ARRIVED_AU:
+        first_au = self._arena.way(snapshot.position_au, path_au[0])[0]
+        if not _is_found(found.gain) or math.dist(first_au, snapshot.position_au) <= ARRIVED_AU:
             raise PlannerError(f"search found no path from {snapshot.position_au}; report this")
-        self._keep(found, path_au[0])
+        self._keep(found, first_au)
         return Waypoint(
-            position_au=path_au[0],
+            position_au=first_au,
             details={
                 "gain": found.gain,
                 "speed": self._particles.speed.mean,
@@ -184,16 +179,7 @@ class RoadmapSearchPlanner(SearchPlanner):
     name = "search-roadmap"
 
     def _make_ground(self, roadmap: Roadmap) -> moving.Ground:
-        """Shortest paths, and the node nearest to each cell of the arena."""
-        size = moving.NEAREST_CELLS
-        offset_au = self._arena.cells(size)[:, None] - roadmap.nodes_au
-        nearest = np.linalg.norm(offset_au, axis=-1).argmin(axis=-1)
-        return moving.Ground(
-            nodes=np.ascontiguousarray(roadmap.nodes_au),
-            next_hop=roadmap.next_hop,
-            nearest=nearest.reshape(size, size),
-            bounds=self._arena.bounds,
-        )
+        return moving.Ground.of(self._arena, roadmap)
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """The neighbour by way of which the best path goes; details hold every neighbour's gain."""

@@ -103,7 +103,7 @@ class TspLoop:
 
     def _places(self, time_au: float) -> FloatArray:
         """Where targets are met: one seen beyond the border, at it. -> (N, 2) au."""
-        return self._arena.clip(self._places_at(time_au))
+        return self._arena.clip_free(self._places_at(time_au))
 
     def _plan(self, places_au: FloatArray, here_au: FloatArray) -> None:
         """Find the shortest loop; a first one begins with the nearest target."""

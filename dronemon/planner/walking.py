@@ -76,7 +76,7 @@ def _turned(heading, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _step(walker, duration, kinds, bounds, rng):  # type: ignore[no-untyped-def]
+def _step(walker, duration, kinds, walls, rng):  # type: ignore[no-untyped-def]
     """Walk one particle on for a short while inside the arena, in place. walker: (NUM_ROWS,)"""
     turns_per_au, wander, rests_per_au, _ = kinds[int(walker[KIND])]
     distance = walker[SPEED] * duration
@@ -93,7 +93,7 @@ def _step(walker, duration, kinds, bounds, rng):  # type: ignore[no-untyped-def]
     for _ in range(_TRIES):
         x = walker[X] + distance * math.cos(heading)
         y = walker[Y] + distance * math.sin(heading)
-        if is_inside(bounds, x, y):
+        if is_inside(walls, x, y):
             walker[X], walker[Y] = x, y
             break
         heading = _turned(heading, rng)
@@ -101,10 +101,10 @@ def _step(walker, duration, kinds, bounds, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def walk(walkers, duration, kinds, bounds, rng):  # type: ignore[no-untyped-def]
+def walk(walkers, duration, kinds, walls, rng):  # type: ignore[no-untyped-def]
     """Walk particles on, in place. walkers: (M, NUM_ROWS); duration: au; kinds: as `table_of`."""
     for j in range(walkers.shape[0]):
-        _step(walkers[j], duration, kinds, bounds, rng)
+        _step(walkers[j], duration, kinds, walls, rng)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -151,10 +151,10 @@ def refuted(walkers, agent, view, old_trail, trail_radius, kinds, miss, rng):  #
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _outlives(walker, misses, count, kinds, bounds, miss, rng):  # type: ignore[no-untyped-def]
+def _outlives(walker, misses, count, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
     """Walk one particle on, in place, over misses; whether none of the first `count` refutes it."""
     for m in range(1, misses.shape[0]):
-        _step(walker, misses[m, 0] - misses[m - 1, 0], kinds, bounds, rng)
+        _step(walker, misses[m, 0] - misses[m - 1, 0], kinds, walls, rng)
         if (
             m < count
             and (walker[X] - misses[m, 1]) ** 2 + (walker[Y] - misses[m, 2]) ** 2
@@ -166,7 +166,7 @@ def _outlives(walker, misses, count, kinds, bounds, miss, rng):  # type: ignore[
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def walk_anew(walkers, lost, deck, misses, kinds, bounds, miss, rng):  # type: ignore[no-untyped-def]
+def walk_anew(walkers, lost, deck, misses, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
     """Replace particles by walks from the last sighting that no miss since refutes. -> how many.
 
     lost:   (L,)          int64 their indices
@@ -182,7 +182,7 @@ def walk_anew(walkers, lost, deck, misses, kinds, bounds, miss, rng):  # type: i
         card = int(rng.random() * deck.shape[0])
         for r in range(NUM_ROWS):
             walker[r] = deck[card, r]
-        if _outlives(walker, misses, misses.shape[0], kinds, bounds, miss, rng):
+        if _outlives(walker, misses, misses.shape[0], kinds, walls, miss, rng):
             for r in range(NUM_ROWS):
                 walkers[lost[done], r] = walker[r]
             done += 1
@@ -190,7 +190,7 @@ def walk_anew(walkers, lost, deck, misses, kinds, bounds, miss, rng):  # type: i
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def outlived(walkers, stops, kinds, bounds, miss, rng):  # type: ignore[no-untyped-def]
+def outlived(walkers, stops, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
     """Walk particles on, in place, from one sight to the next. -> which no miss refutes, (M,)
 
     walkers: (M, NUM_ROWS) as they were at the first
@@ -199,5 +199,5 @@ def outlived(walkers, stops, kinds, bounds, miss, rng):  # type: ignore[no-untyp
     """
     out = np.empty(walkers.shape[0], np.bool_)
     for j in range(walkers.shape[0]):
-        out[j] = _outlives(walkers[j], stops, stops.shape[0] - 1, kinds, bounds, miss, rng)
+        out[j] = _outlives(walkers[j], stops, stops.shape[0] - 1, kinds, walls, miss, rng)
     return out

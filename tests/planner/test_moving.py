@@ -32,7 +32,7 @@ def test_compiled_legs_measure_where_the_worlds_legs_do(seed, count, residual_au
     rng = np.random.default_rng(seed)
     nodes_au = rng.random((count + 1, 2))
     following = np.tile(np.minimum(np.arange(count + 1) + 1, count)[:, None], (1, count + 1))
-    ground = moving.Ground(nodes_au, following, np.zeros((1, 1), dtype=np.int64), ARENA.bounds)
+    ground = moving.Ground.of(ARENA)._replace(nodes=nodes_au, next_hop=following)
     path_au = np.zeros((400, 2))
     k, x, y, node, due, hop = moving.follow(
         *nodes_au[-1], count, ground, path_au, np.int64(0), *nodes_au[0], 0, 0.1 - residual_au

@@ -6,6 +6,7 @@ import pytest
 from dronemon.arena import ARENA
 from dronemon.planner import walking
 from dronemon.planner.kinds import KindBelief
+from dronemon.planner.moving import Walls
 from dronemon.planner.particles import ParticleBelief
 from dronemon.planner.settings import MotionSettings
 from dronemon.planner.speeds import SpeedBelief
@@ -23,6 +24,8 @@ from dronemon.sensor import PERFECT, Sensor
 from dronemon.sightings import Sightings
 from dronemon.types import Measurement
 from dronemon.world import Instance, measure
+
+WALLS = Walls.of(ARENA, ARENA.field)
 
 
 class Told:
@@ -274,7 +277,7 @@ def test_circling_targets_keep_the_curve_that_they_were_seen_on():
 def weighed(deck, stops, **sensor):
     """Shares of the kinds after two sights in a row, and looks with all of the sensor between."""
     rng = np.random.default_rng(0)
-    belief = KindBelief(MotionSettings(), Sensor(**sensor), ARENA.bounds, rng)
+    belief = KindBelief(MotionSettings(), Sensor(**sensor), WALLS, rng)
     belief.observe(deck, np.array([(*stop, 0.1) for stop in stops]), np.empty((0, 2)), 0.1)
     return dict(zip([kind.name for kind in KINDS], belief.shares, strict=True))
 

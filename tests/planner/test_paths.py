@@ -2,6 +2,7 @@ import numpy as np
 
 from dronemon.arena import ARENA
 from dronemon.planner import paths, scoring
+from dronemon.planner.moving import Walls
 
 
 def test_refinement_changes_one_goal_and_keeps_the_others_in_order():
@@ -18,10 +19,10 @@ def test_refinement_changes_one_goal_and_keeps_the_others_in_order():
     )
     before = np.zeros((paths.MAX_GOALS, 2))
     before[:5] = (np.arange(5)[:, None] + [1.0, 1.5]) / 10.0
-    lengths = set()
+    lengths, walls = set(), Walls.of(ARENA, ARENA.field)
     for _ in range(500):
         goals = before.copy()
-        count = paths.refine(goals, 5, forecast, 0.05, rng)
+        count = paths.refine(goals, 5, forecast, walls, 0.05, rng)
         lengths.add(count)
         rows = {tuple(row) for row in before[:5]}
         kept = [row for row in map(tuple, goals[:count]) if row in rows]

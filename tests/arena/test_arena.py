@@ -33,18 +33,18 @@ def test_the_nearest_place_is_inside_and_as_far_as_the_border(arena, place) -> N
     assert arena.contains(place) == (distance_au >= -ROUNDING_AU)
     assert np.linalg.norm(clipped - place) == pytest.approx(max(-distance_au, 0.0))
     assert arena.segment_is_free(clipped, place) == arena.contains(place)
-    inner = arena.clip(place, 0.1)
+    inner = arena.clip_free(place, 0.1)
     assert inside_by_au(arena, inner) >= 0.1 - 1e-12
 
 
 @settings(max_examples=100)
 @given(arena=ARENAS, place=PLACES)
 def test_compiled_code_says_the_same(arena, place) -> None:
-    bounds = arena.bounds
-    assert moving.is_inside(bounds, *place) == (inside_by_au(arena, place) >= 0.0)
+    walls = moving.Walls.of(arena, arena.field)
+    assert moving.is_inside(walls, *place) == (inside_by_au(arena, place) >= 0.0)
     clipped = arena.clip(place)
-    np.testing.assert_array_equal(moving.clipped(bounds, *place), clipped)
-    column, row = moving.cell(bounds, *clipped, 8)
+    np.testing.assert_array_equal(moving.clipped(walls, *place), clipped)
+    column, row = moving.cell(arena.bounds, *clipped, 8)
     centre = arena.cells(8).reshape(8, 8, 2)[column, row]
     assert np.all(np.abs(centre - clipped) <= arena.extent_au / 16.0 + 1e-12)
 
@@ -53,7 +53,8 @@ def test_compiled_code_says_the_same(arena, place) -> None:
 def test_samples_and_grids_fill_it(arena) -> None:
     places = arena.sample(2000, np.random.default_rng(0))
     assert arena.contains(places).all()
-    drawn = np.array([moving.drawn(arena.bounds, np.random.default_rng(0)) for _ in range(2)])
+    walls = moving.Walls.of(arena, arena.field)
+    drawn = np.array([moving.drawn(walls, np.random.default_rng(0)) for _ in range(2)])
     np.testing.assert_allclose(drawn, places[[0, 0]], rtol=1e-15)
     np.testing.assert_allclose(places.min(axis=0), arena.low_au, atol=0.01)
     np.testing.assert_allclose(places.max(axis=0), arena.high_au, atol=0.01)
