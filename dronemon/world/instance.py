@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.types import FloatArray
 from dronemon.world.motions import draw_paths
 from dronemon.world.targets import TargetPaths
@@ -22,15 +22,22 @@ class Instance:
     """One problem: where the agent starts and along which paths the targets walk.
 
     start_au: (2,) au
+    arena:    where that is
     """
 
     seed: int
     start_au: FloatArray
     paths: TargetPaths
+    arena: Arena = ARENA
 
     @classmethod
     def draw(
-        cls, seed: int, num_targets: int, motion: str = "tsp", speed_spread: float = 0.0
+        cls,
+        seed: int,
+        num_targets: int,
+        motion: str = "tsp",
+        speed_spread: float = 0.0,
+        arena: Arena = ARENA,
     ) -> Instance:
         """Draw a seed's instance; its first targets do not depend on how many there are.
 
@@ -41,8 +48,9 @@ class Instance:
         spread = named_stream(seed, "speeds").uniform(-speed_spread, speed_spread, num_targets)
         return cls(
             seed=seed,
-            start_au=ARENA.sample(1, named_stream(seed, "start"))[0],
+            start_au=arena.sample_free(1, named_stream(seed, "start"))[0],
             paths=paths.at_speeds(1.0 + spread) if speed_spread else paths,
+            arena=arena,
         )
 
     def stream(self, name: str) -> np.random.Generator:
