@@ -18,6 +18,7 @@ from torch import Tensor
 
 from dronemon.arena import ARENA
 from dronemon.belief import ObservationStore, fit
+from dronemon.belief.grid import evaluation_grid
 from dronemon.belief.metrics import area_std
 from dronemon.policy import Graphs, Tracks, belief_features, frame_points
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU, Prior
@@ -239,7 +240,7 @@ class Env:
         self._posterior = fit(*self.observations(), num_threads=self._num_threads)
         targets_au = self.targets_au
         time_au = self._length_au[:, None].expand(targets_au.shape[:-1])
-        std = area_std(self._posterior, targets_au, time_au)
+        std = area_std(self._posterior, targets_au, time_au, evaluation_grid(ARENA))
         self._area_std = torch.where(self._exists, std, torch.nan)
 
     def _observe(self) -> Observation:

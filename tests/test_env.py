@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 import torch
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief
+from dronemon.belief.grid import evaluation_grid
 from dronemon.belief.metrics import area_std
 from dronemon.env import Env, Setup
 from dronemon.policy import belief_features
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.world import Instance, Roster, TargetPaths, measure, sample_leg
+
+SQUARE = evaluation_grid(ARENA)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -99,7 +103,9 @@ class Walker:
         time = torch.full(targets.shape[:1], self.time, dtype=torch.float64)
         std = torch.ones(self.setup.num_targets, dtype=torch.float64)
         if self.roster.known:
-            known = area_std(self.belief.process, torch.as_tensor(targets)[None], time[None])[0]
+            known = area_std(
+                self.belief.process, torch.as_tensor(targets)[None], time[None], SQUARE
+            )[0]
             std[self.roster.known] = known
         return std
 
@@ -249,7 +255,9 @@ def test_any_place_is_flown_to_straight_and_measured_on_the_way():
         assert step.observation.node[0] == np.linalg.norm(offset_au, axis=1).argmin()
         truth_au = torch.as_tensor(instance.paths.positions_au(0.1 * time))
         torch.testing.assert_close(env.targets_au[0], truth_au)
-        std = area_std(Belief(sightings).process, truth_au[None], torch.full((1, 2), time).double())
+        std = area_std(
+            Belief(sightings).process, truth_au[None], torch.full((1, 2), time).double(), SQUARE
+        )
         torch.testing.assert_close(step.area_std, std, rtol=0, atol=1e-8)
     with pytest.raises(ValueError, match=r"episode 0: \[0.5, 1.2\] is outside the arena"):
         env.step_to(torch.tensor([[0.5, 1.2]], dtype=torch.float64))

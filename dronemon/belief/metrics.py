@@ -18,8 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.belief.gp import Posterior, fit
+from dronemon.belief.grid import EvaluationGrid, evaluation_grid
 from dronemon.belief.kernel import Matern32
 from dronemon.problem import (
     LOST_STD,
@@ -29,95 +30,48 @@ from dronemon.problem import (
 )
 from dronemon.types import BoolArray, FloatArray
 
-GRID_SIZE = 40
-"""Points of the evaluation grid along each axis, both borders included."""
-_STEPS_PER_AU = (GRID_SIZE - 1) / ARENA.extent_au
-_AREA_SPAN = math.floor(2.0 * SENSOR_RADIUS_AU * _STEPS_PER_AU.max()) + 1
-"""Most grid points of a target area along one axis."""
 _JSD_FLOOR = 1e-8
 _INSTANTS_AT_ONCE = 16
 """Instants of an episode scored together; bounds the memory and stays in cache."""
 
 
-def evaluation_grid(
-    dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+def area_std(
+    posterior: Posterior, targets_au: Tensor, time_au: Tensor, grid: EvaluationGrid
 ) -> Tensor:
-    """Points at which beliefs are compared with the truth. -> (1600, 2) au, y changing fastest."""
-    return torch.as_tensor(ARENA.grid(GRID_SIZE), dtype=dtype, device=device)
-
-
-def target_area(targets_au: Tensor) -> tuple[Tensor, Tensor]:
-    """Grid points nearer than 0.1 au to each target.
-
-    A target so far outside the arena that there are none has the area of the arena's nearest place.
-
-    targets_au: (..., 2) au
-    -> points (..., 64, 2) au, the square of grid points around the target, and
-       is_inside (..., 64) bool, which of them are in the area
-    """
-    points, is_inside = _points_around(targets_au)
-    if bool(is_inside.any(dim=-1).all()):
-        return points, is_inside
-    low, high = targets_au.new_tensor(ARENA.bounds)
-    is_outside = ~is_inside.any(dim=-1, keepdim=True)
-    return _points_around(torch.where(is_outside, targets_au.clamp(low, high), targets_au))
-
-
-def _points_around(targets_au: Tensor) -> tuple[Tensor, Tensor]:
-    low = targets_au.new_tensor(ARENA.low_au)
-    per_au = targets_au.new_tensor(_STEPS_PER_AU)
-    first = torch.ceil((targets_au - SENSOR_RADIUS_AU - low) * per_au)  # (..., 2)
-    steps = torch.arange(_AREA_SPAN, dtype=targets_au.dtype, device=targets_au.device)
-    axes = first[..., None] + steps  # (..., 2, 8)
-    is_on_grid = (axes >= 0) & (axes < GRID_SIZE)
-    axes = axes / per_au[:, None] + low[:, None]
-    shape = (*targets_au.shape[:-1], _AREA_SPAN, _AREA_SPAN)
-    points = torch.stack(
-        [axes[..., 0, :, None].expand(shape), axes[..., 1, None, :].expand(shape)], dim=-1
-    ).flatten(-3, -2)
-    is_inside = (is_on_grid[..., 0, :, None] & is_on_grid[..., 1, None, :]).flatten(-2)
-    distance_au = torch.linalg.vector_norm(points - targets_au[..., None, :], dim=-1)
-    return points, is_inside & (distance_au < SENSOR_RADIUS_AU)
-
-
-def area_std(posterior: Posterior, targets_au: Tensor, time_au: Tensor) -> Tensor:
     """Mean posterior standard deviation over each target's area: sigma_bar.
 
     posterior: of shape (...); targets_au: (..., 2) true positions; time_au: (...) au -> (...).
     """
-    points, is_inside = target_area(targets_au)
+    points, is_inside = grid.target_area(targets_au)
     time = time_au[..., None, None].expand_as(points[..., :1])
     std = posterior.std(torch.cat([points, time], dim=-1))
     return torch.where(is_inside, std, 0.0).sum(-1) / is_inside.sum(-1)
 
 
-def jensen_shannon(mean: Tensor, targets_au: Tensor) -> Tensor:
+def jensen_shannon(mean: Tensor, targets_au: Tensor, grid: EvaluationGrid) -> Tensor:
     """JSD between beliefs and unit bumps at the true positions.
 
-    mean: (..., 1600) posterior mean on the grid; targets_au: (..., 2) au -> (...) in [0, ln 2] nat.
+    mean: (..., Q) posterior mean on the grid; targets_au: (..., 2) au -> (...) in [0, ln 2] nat.
     """
-    axes = torch.as_tensor(ARENA.axes(GRID_SIZE), dtype=mean.dtype, device=mean.device)
-    # (..., 2, 40)
-    along = torch.exp(-0.5 * ((axes - targets_au[..., None]) / PRESENCE_STD_AU).square())
-    bump = (along[..., 0, :, None] * along[..., 1, None, :]).flatten(-2)
+    bump = grid.bumps(targets_au, PRESENCE_STD_AU)
     p, q = _normalised(bump), _normalised(mean.clamp_min(0.0))
     middle = 0.5 * (p + q)
     return 0.5 * (p * (p / middle).log() + q * (q / middle).log()).sum(-1)
 
 
 def _normalised(weight: Tensor) -> Tensor:
-    """Distribution over the grid, nowhere zero. (..., 1600) -> (..., 1600)."""
+    """Distribution over the grid, nowhere zero. (..., Q) -> (..., Q)."""
     raised = weight + _JSD_FLOOR
     return raised / raised.sum(-1, keepdim=True)
 
 
-def peak_error_au(mean: Tensor, targets_au: Tensor) -> Tensor:
+def peak_error_au(mean: Tensor, targets_au: Tensor, grid: EvaluationGrid) -> Tensor:
     """Distance from the belief's highest grid point to the target; NaN where no mean is positive.
 
-    mean: (..., 1600) posterior mean on the grid; targets_au: (..., 2) au -> (...) au.
+    mean: (..., Q) posterior mean on the grid; targets_au: (..., 2) au -> (...) au.
     """
     height, index = mean.max(dim=-1)
-    peak_au = evaluation_grid(mean.dtype, mean.device)[index]
+    peak_au = grid.points_au.to(mean)[index]
     error_au = torch.linalg.vector_norm(peak_au - targets_au, dim=-1)
     return torch.where(height > 0.0, error_au, torch.nan)
 
@@ -183,6 +137,7 @@ def episode_metrics(
     *,
     prior: Prior = "full",
     kernel: Matern32 | None = None,
+    arena: Arena = ARENA,
 ) -> EpisodeMetrics:
     """Score the belief that a recorded episode led to, at every instant.
 
@@ -194,18 +149,20 @@ def episode_metrics(
     observed = _truly_seen(agent_au, targets_au, told_au)
     kernel = kernel if kernel is not None else Matern32()
     history = _History.of(time_au, agent_au, targets_au, told_au, prior)
-    grid = evaluation_grid()
+    grid = evaluation_grid(arena)
     unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
     for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
         block = torch.arange(start, min(start + _INSTANTS_AT_ONCE, len(time_au)))
         posterior = fit(*history.windows(block, kernel.window_au), kernel=kernel)  # (block, N)
         now_au, truth_au = history.time_au[block], history.targets_au[block]
-        unc[block] = area_std(posterior, truth_au, now_au[:, None].expand(truth_au.shape[:-1]))
-        instant_au = now_au[:, None, None].expand(-1, len(grid), 1)
-        query = torch.cat([grid.expand(len(block), -1, -1), instant_au], dim=-1)
-        mean = posterior.mean(query[:, None])  # (block, N, 1600)
-        jsd[block] = jensen_shannon(mean, truth_au)
-        error_au[block] = peak_error_au(mean, truth_au)
+        unc[block] = area_std(
+            posterior, truth_au, now_au[:, None].expand(truth_au.shape[:-1]), grid
+        )
+        instant_au = now_au[:, None, None].expand(-1, len(grid.points_au), 1)
+        query = torch.cat([grid.points_au.expand(len(block), -1, -1), instant_au], dim=-1)
+        mean = posterior.mean(query[:, None])  # (block, N, Q)
+        jsd[block] = jensen_shannon(mean, truth_au, grid)
+        error_au[block] = peak_error_au(mean, truth_au, grid)
     return EpisodeMetrics(
         unc=unc.numpy(),
         jsd=jsd.numpy(),

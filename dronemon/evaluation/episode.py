@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dronemon.arena import ARENA
+from dronemon.arena import Arena
 from dronemon.belief import Belief, EpisodeMetrics, episode_metrics
 from dronemon.errors import PlannerError, blaming
 from dronemon.planner import Briefing, Clairvoyant, Planner, Snapshot, TargetsAt
@@ -57,6 +57,7 @@ class Episode:
     """
 
     conditions: Conditions
+    arena: Arena
     agent_au: FloatArray
     targets_au: FloatArray
     told_au: FloatArray
@@ -70,6 +71,7 @@ class Episode:
             self.targets_au,
             self.told_au,
             prior=self.conditions.prior,
+            arena=self.arena,
         )
 
 
@@ -90,6 +92,7 @@ def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) ->
         conditions.num_neighbours,
         instance.stream("roadmap"),
         instance.start_au,
+        instance.arena,
     )
     told: Prior = conditions.prior
     if isinstance(planner, Clairvoyant):
@@ -106,7 +109,7 @@ def fly_episode(planner: Planner, instance: Instance, conditions: Conditions) ->
         with blaming(who, PlannerError):
             waypoint = planner.next_waypoint(snapshot)
             decisions_s.append(time.perf_counter() - began_s)
-            flaw = waypoint_flaw(waypoint, agent.position_au, ARENA)
+            flaw = waypoint_flaw(waypoint, agent.position_au, instance.arena)
         if flaw:
             raise PlannerError(f"{who} gave at {snapshot.time_au:.3f} au {flaw}")
         agent.fly_to(np.array(waypoint.position_au, dtype=np.float64), waypoint.node)
@@ -119,7 +122,7 @@ class _Agent:
     def __init__(
         self, instance: Instance, targets_at: TargetsAt, conditions: Conditions, told: Prior
     ) -> None:
-        self._conditions = conditions
+        self._conditions, self._arena = conditions, instance.arena
         self._rng = instance.stream("sensor")
         self._times_au = conditions.times_au
         self._targets_au = targets_at(self._times_au)
@@ -140,6 +143,7 @@ class _Agent:
             start_au=self._agent_au[0].copy(),
             horizon_au=self._conditions.horizon_au,
             rng=rng,
+            arena=self._arena,
             sensor=self._conditions.sensor,
         )
 
@@ -171,7 +175,7 @@ class _Agent:
             index = len(self._agent_au)
             truth = measure(float(self._times_au[index]), position_au, self._targets_au[index])
             self._agent_au.append(position_au)
-            told = misread(truth, self._conditions.sensor, ARENA, self._rng)
+            told = misread(truth, self._conditions.sensor, self._arena, self._rng)
             self._told_au.append(told.target_au)
             self._sightings.add(self._roster.tell(told))
         self.position_au, self._residual_au, self._node = waypoint_au, leg.residual_au, node
@@ -180,6 +184,7 @@ class _Agent:
         """Give the record of a finished episode."""
         return Episode(
             conditions=self._conditions,
+            arena=self._arena,
             agent_au=np.stack(self._agent_au),
             targets_au=self._targets_au,
             told_au=np.stack(self._told_au),

@@ -19,7 +19,7 @@ from matplotlib.patches import Circle
 
 from dronemon.arena import ARENA
 from dronemon.belief import Belief
-from dronemon.belief.metrics import GRID_SIZE
+from dronemon.belief.grid import GRID_SIZE
 from dronemon.evaluation.episode import Episode
 from dronemon.evaluation.options import DEFAULT_NODES, Cell
 from dronemon.evaluation.results import Result

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.types import BoolArray, FloatArray, IntArray
 
 MAX_ADDED_NEIGHBOURS = 4
@@ -41,12 +41,13 @@ class Roadmap:
         num_neighbours: int,
         rng: np.random.Generator,
         start_au: FloatArray,
+        arena: Arena = ARENA,
     ) -> Roadmap:
         """Draw `num_nodes` uniform nodes besides the start, each joined to its nearest.
 
         num_neighbours counts the node itself; start_au: (2,) au.
         """
-        drawn_au = ARENA.sample(num_nodes, rng)
+        drawn_au = arena.sample_free(num_nodes, rng)
         nodes_au = np.concatenate([np.asarray(start_au, dtype=np.float64)[None], drawn_au])
         distance_au = _pairwise(nodes_au)
         np.fill_diagonal(distance_au, -1.0)  # the node itself comes first, whatever else lies there

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief
-from dronemon.belief.metrics import area_std, evaluation_grid, jensen_shannon
+from dronemon.belief.grid import evaluation_grid
+from dronemon.belief.metrics import area_std, jensen_shannon
 from dronemon.events import TruthTold
 from dronemon.frames import GeoPoint
 from dronemon.mission import Mission
@@ -163,15 +165,15 @@ def _score(tally: Tally, truth: Sequence[TruthTold], mission: Mission) -> Score:
     true_au = true_au[:, identities.targets]
     replayed = Sightings(sightings.priors_au)
     belief = Belief(replayed, mission_kernel(mission))
-    grid = evaluation_grid()
+    grid = evaluation_grid(ARENA)
     unc, jsd = [], []
     for measurement, positions in zip(sightings.since(0), true_au, strict=True):
         replayed.add(measurement)
         target_au = torch.tensor(positions)[None]
         now = torch.full_like(target_au[..., 0], measurement.time_au)
-        unc.append(area_std(belief.process, target_au, now)[0].numpy())
-        query = torch.cat([grid, now[0, 0].expand(len(grid), 1)], dim=-1)
-        jsd.append(jensen_shannon(belief.process.mean(query), target_au)[0].numpy())
+        unc.append(area_std(belief.process, target_au, now, grid)[0].numpy())
+        query = torch.cat([grid.points_au, now[0, 0].expand(len(grid.points_au), 1)], dim=-1)
+        jsd.append(jensen_shannon(belief.process.mean(query), target_au, grid)[0].numpy())
     return Score(
         unc=float(np.mean(unc)),
         unc_std=float(np.std(unc, axis=1).mean()),

@@ -9,20 +9,21 @@ from scipy.spatial.distance import jensenshannon
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 
+from dronemon.arena import ARENA, Arena
 from dronemon.belief import Belief, EpisodeMetrics, episode_metrics, fit
+from dronemon.belief.grid import evaluation_grid
 from dronemon.belief.metrics import (
     area_std,
-    evaluation_grid,
     jensen_shannon,
     peak_error_au,
     since_seen_au,
-    target_area,
 )
 from dronemon.sightings import Sightings
 
 GRID = np.stack(
     np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 40), indexing="ij"), axis=-1
 ).reshape(-1, 2)
+SQUARE = evaluation_grid(ARENA)
 
 
 def plain_area(target):
@@ -37,7 +38,7 @@ def plain_jsd(mean, target):
 
 
 def test_grid_is_40_by_40():
-    np.testing.assert_allclose(evaluation_grid(), GRID, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(SQUARE.points_au, GRID, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +46,7 @@ def test_grid_is_40_by_40():
     [(0.0, 0.0), (1.0, 1.0), (1.0, 0.37), (0.013, 0.99), (0.5, 0.5), (19 / 39, 7 / 39)],
 )
 def test_target_area_at_borders_and_within(target):
-    points, is_inside = target_area(torch.tensor(target, dtype=torch.float64))
+    points, is_inside = SQUARE.target_area(torch.tensor(target, dtype=torch.float64))
     got = points[is_inside].numpy()
     want = GRID[plain_area(np.array(target))]
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
@@ -54,7 +55,7 @@ def test_target_area_at_borders_and_within(target):
 
 def test_target_area_anywhere():
     targets = torch.rand(500, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    _, is_inside = target_area(targets)
+    _, is_inside = SQUARE.target_area(targets)
     assert is_inside.sum(-1).tolist() == [int(plain_area(t).sum()) for t in targets.numpy()]
 
 
@@ -65,7 +66,7 @@ def test_area_std_of_one_observation():
         torch.ones(1, 1, dtype=torch.float64),
         torch.ones(1, 1, dtype=torch.bool),
     )
-    got = area_std(posterior, torch.as_tensor(target[None]), torch.tensor([2.5]).double())
+    got = area_std(posterior, torch.as_tensor(target[None]), torch.tensor([2.5]).double(), SQUARE)
     area = GRID[plain_area(target)]
     r = math.sqrt(3) * np.sqrt((((area - target) / 0.1) ** 2).sum(-1) + (1.5 / 3.0) ** 2)
     want = np.sqrt(1.0 - ((1.0 + r) * np.exp(-r)) ** 2).mean()
@@ -74,21 +75,21 @@ def test_area_std_of_one_observation():
 
 def test_jsd_of_perfect_flat_and_false_beliefs():
     target = torch.tensor([0.4, 0.6], dtype=torch.float64)
-    bump = torch.exp(-(evaluation_grid() - target).square().sum(-1) / 0.02)
-    assert jensen_shannon(bump, target).item() == pytest.approx(0.0, abs=1e-12)
-    assert jensen_shannon(3.0 * bump, target).item() == pytest.approx(0.0, abs=1e-6)
+    bump = torch.exp(-(SQUARE.points_au - target).square().sum(-1) / 0.02)
+    assert jensen_shannon(bump, target, SQUARE).item() == pytest.approx(0.0, abs=1e-12)
+    assert jensen_shannon(3.0 * bump, target, SQUARE).item() == pytest.approx(0.0, abs=1e-6)
     flat = torch.zeros_like(bump)
     for mean in (flat, flat - 0.2, bump.roll(300), bump - 0.5):
         want = plain_jsd(mean.numpy(), target.numpy())
-        assert jensen_shannon(mean, target).item() == pytest.approx(want, abs=1e-12)
-    elsewhere = (evaluation_grid() == 1.0).all(-1).double()
-    assert jensen_shannon(elsewhere, target).item() == pytest.approx(math.log(2), abs=1e-3)
+        assert jensen_shannon(mean, target, SQUARE).item() == pytest.approx(want, abs=1e-12)
+    elsewhere = (SQUARE.points_au == 1.0).all(-1).double()
+    assert jensen_shannon(elsewhere, target, SQUARE).item() == pytest.approx(math.log(2), abs=1e-3)
 
 
 def test_peak_error():
     mean = torch.zeros(3, 1600, dtype=torch.float64)
     mean[0, 0], mean[1, 39] = 0.7, 0.2
-    error = peak_error_au(mean, torch.tensor([[0.3, 0.4], [0.0, 0.0], [0.0, 0.0]]).double())
+    error = peak_error_au(mean, torch.tensor([[0.3, 0.4], [0.0, 0.0], [0.0, 0.0]]).double(), SQUARE)
     assert error[:2].tolist() == pytest.approx([0.5, 1.0])
     assert math.isnan(error[2])
 
@@ -175,13 +176,15 @@ def test_a_target_wholly_outside_is_judged_at_the_nearest_place_of_the_arena(tar
     outside = torch.tensor([target_au], dtype=torch.float64)
     belief = Belief(Sightings(np.array([[0.9, 0.5]]))).process
     at = torch.zeros(1, 1, dtype=torch.float64)
-    got, nearest = (area_std(belief, t[None], at) for t in (outside, outside.clamp(0.0, 1.0)))
+    got, nearest = (
+        area_std(belief, t[None], at, SQUARE) for t in (outside, outside.clamp(0.0, 1.0))
+    )
     assert torch.isfinite(got).all()
     torch.testing.assert_close(got, nearest, rtol=0.0, atol=0.0)
 
 
 def test_a_target_a_little_outside_is_judged_around_itself():
-    points, is_inside = target_area(torch.tensor([1.05, 0.5], dtype=torch.float64))
+    points, is_inside = SQUARE.target_area(torch.tensor([1.05, 0.5], dtype=torch.float64))
     assert (points[is_inside] - torch.tensor([1.05, 0.5])).norm(dim=-1).max() < 0.1
     assert points[is_inside][:, 0].max() <= 1.0
 
@@ -199,3 +202,30 @@ def test_what_is_told_falsely_is_believed_and_not_counted():
     assert wrong.peak_error_au[40, 0] == pytest.approx(
         np.linalg.norm(targets[40, 0] - false[40, 0]), abs=0.03
     )
+
+
+L_SHAPE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 0.5], [0.5, 0.5], [0.5, 1.0], [0.0, 1.0]])
+
+
+def test_of_a_field_only_its_own_points_count():
+    grid = evaluation_grid(Arena.polygon(L_SHAPE))
+    x, y = grid.points_au.T.numpy()
+    assert ((x < 0.5 + 1e-9) | (y < 0.5 + 1e-9)).all()
+    assert len(x) == pytest.approx(39**2 * 1.25, rel=0.05)  # as dense as the square's
+    corner = torch.tensor([0.5, 0.5], dtype=torch.float64)
+    points, is_inside = grid.target_area(corner)
+    near = grid.points_au[(grid.points_au - corner).norm(dim=-1) < 0.1]
+    np.testing.assert_allclose(sorted(points[is_inside].tolist()), sorted(near.tolist()))
+    outside = torch.tensor([1.5, 0.9], dtype=torch.float64)
+    points, is_inside = grid.target_area(outside)
+    assert points[is_inside][:, 1].max() <= 0.5
+    assert 20 < is_inside.sum() < 40
+
+
+def test_scores_in_a_field_that_is_the_square_are_the_square_s():
+    time, agent, targets, told = episode(3)
+    square = Arena.polygon(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
+    got = episode_metrics(time, agent, targets, told, arena=square)
+    want = episode_metrics(time, agent, targets, told)
+    np.testing.assert_allclose(got.unc, want.unc, atol=1e-12)
+    np.testing.assert_allclose(got.jsd, want.jsd, atol=1e-12)
