@@ -33,6 +33,7 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
 
     def problems(mission: Mission) -> Iterator[Problem]:
         yield from _simulator_problems(mission, follow)
+        yield from _shape_problems(mission)
         yield from _sight_problems(mission)
         yield from _planner_problems(mission)
         yield from _lens_problems(mission)
@@ -198,6 +199,15 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
                 ("targets", target.entry, "prior_au"),
                 "is `simulated`, but there is no simulator; give [x, y] or leave it out",
             )
+
+
+def _shape_problems(mission: Mission) -> Iterator[Problem]:
+    """Whether what flies can take the field's shape."""
+    if not mission.area.is_square:
+        yield (
+            ("area", mission.area.border_key or "no_fly"),
+            "fields that are no squares cannot be flown yet",
+        )
 
 
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
