@@ -56,7 +56,7 @@ class Area(Section):
     polygon_m: PolygonM | None = None
     """The same in metres [east, north] of home, or of latitude_deg and longitude_deg."""
     no_fly: Annotated[tuple[NoFly, ...], Field(strict=False)] = Field((), max_length=100)
-    """Zones where the drone may not be, a name and polygon_deg or polygon_m each; and the file's."""
+    """Zones where the drone may not be, beside the file's: a name, and polygon_deg or polygon_m."""
     sensor_radius_m: float | None = Field(None, ge=1.0, le=2000.0)
     """How far around itself the drone looks, 0.1 au; for a field that is no square."""
     side_m: float = Field(

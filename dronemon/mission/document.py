@@ -228,7 +228,7 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
     if kind == "missing":
         return "is missing; add it"
     key_path = tuple(takewhile(_is_key, error["loc"]))
-    if kind == "tuple_type" and (about := _fields(model, key_path)[key_path[-1]].description):
+    if kind == "tuple_type" and (about := _description(model, key_path)):
         return f"{given!r} cannot be this: {about}"
     if kind == "value_error":
         return message.removeprefix("Value error, ")
@@ -236,6 +236,14 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
     if kind in {"float_type", "float_parsing", "int_type", "int_parsing"}:
         text += "; write a bare number, its unit is the end of the key"
     return text
+
+
+def _description(model: Any, key_path: KeyPath) -> str | None:
+    """What is said of a key, or of that whose item it is."""
+    while isinstance(key_path[-1], int):
+        key_path = key_path[:-1]
+    about: str | None = _fields(model, key_path)[key_path[-1]].description
+    return about
 
 
 def _nearest(model: Any, key_path: KeyPath) -> list[str]:
