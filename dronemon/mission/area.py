@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -20,7 +20,7 @@ _EastNorth = Annotated[tuple[_Metres, _Metres], Field(strict=False)]
 _Corners = Field(strict=False, max_length=_MOST_CORNERS)
 PolygonDeg = Annotated[tuple[_LatLon, ...], _Corners, AfterValidator(ring_in_degrees)]
 PolygonM = Annotated[tuple[_EastNorth, ...], _Corners, AfterValidator(ring_in_metres)]
-BorderKey = Literal["file", "polygon_deg", "polygon_m"]
+_BORDERS = ("file", "polygon_deg", "polygon_m")
 
 
 class NoFly(Section):
@@ -49,14 +49,6 @@ def _side_m(given: dict[str, Any]) -> float:
 class Area(Section):
     """The monitored area: a square around home, or around latitude and longitude; or any field."""
 
-    file: str | None = None
-    """Outline of a field, .kml, .geojson or a QGroundControl .plan with a fence, from this file."""
-    polygon_deg: PolygonDeg | None = None
-    """Corners of a field in order, [latitude, longitude] each, instead of file."""
-    polygon_m: PolygonM | None = None
-    """The same in metres [east, north] of home, or of latitude_deg and longitude_deg."""
-    no_fly: Annotated[tuple[NoFly, ...], Field(strict=False)] = Field((), max_length=100)
-    """Zones where the drone may not be, beside the file's: a name, and polygon_deg or polygon_m."""
     sensor_radius_m: float | None = Field(None, ge=1.0, le=2000.0)
     """How far around itself the drone looks, 0.1 au; for a field that is no square."""
     side_m: float = Field(
@@ -66,6 +58,14 @@ class Area(Section):
         description="Length of the square's side; one au. Ten times sensor_radius_m if absent, "
         "else 200.",
     )
+    file: str | None = None
+    """Outline of a field, .kml, .geojson or a QGroundControl .plan with a fence, from this file."""
+    polygon_deg: PolygonDeg | None = None
+    """Corners of a field in order, [latitude, longitude] each, instead of file."""
+    polygon_m: PolygonM | None = None
+    """The same in metres [east, north] of home, or of latitude_deg and longitude_deg."""
+    no_fly: Annotated[tuple[NoFly, ...], Field(strict=False)] = Field((), max_length=100)
+    """Zones where the drone may not be, beside the file's: a name, and polygon_deg or polygon_m."""
     heading_deg: float = Field(0.0, ge=-360.0, le=360.0)
     """Clockwise turn of the square's north side, and of what counts in au, from north."""
     latitude_deg: float | None = Field(None, ge=-90.0, le=90.0)
@@ -76,10 +76,9 @@ class Area(Section):
     """Heights of the ground, an ESRI ASCII grid in WGS 84 degrees (.asc); flat if absent."""
 
     @property
-    def border_key(self) -> BorderKey | None:
+    def border_key(self) -> str | None:
         """The key that says the field's border; None of a square."""
-        keys: tuple[BorderKey, ...] = ("file", "polygon_deg", "polygon_m")
-        return next((key for key in keys if getattr(self, key) is not None), None)
+        return next((key for key in _BORDERS if getattr(self, key) is not None), None)
 
     @property
     def is_square(self) -> bool:
@@ -93,9 +92,7 @@ class Area(Section):
                 "give latitude_deg and longitude_deg together, or neither: "
                 "the area is then centred on home"
             )
-        given = [
-            key for key in ("file", "polygon_deg", "polygon_m") if getattr(self, key) is not None
-        ]
+        given = [key for key in _BORDERS if getattr(self, key) is not None]
         if len(given) > 1:
             raise ValueError(f"give one of {' and '.join(given)}: each is a border of its own")
         radius_m = self.sensor_radius_m

@@ -16,19 +16,21 @@ from dronemon.outline.rings import polygon_in_degrees
 
 _ON_THE_GROUND = {"clampToGround", "clampToSeaFloor"}
 """Modes in which a height that is written does not count; the first one is the default."""
+_MAX_DEPTH = 50
 
 
 def kml_features(text: str) -> list[Feature]:
     """Every placemark of a file. Raises Flaw."""
     try:
         root = fromstring(text, forbid_dtd=True)
-        if _tag(root) != "kml":
-            raise Flaw(f"not KML: it begins with <{_tag(root)}>, not <kml>")
-        return [_feature(n, mark) for n, mark in enumerate(_all(root, "Placemark"), start=1)]
     except ParseError as exc:
         raise Flaw(f"not valid XML: {exc}; is the file complete?") from exc
     except DefusedXmlException as exc:
         raise Flaw("has a DOCTYPE or entities, which no KML needs and which are not read") from exc
+    if _tag(root) != "kml":
+        raise Flaw(f"not KML: it begins with <{_tag(root)}>, not <kml>")
+    _refuse_depth(root)
+    return [_feature(n, mark) for n, mark in enumerate(_all(root, "Placemark"), start=1)]
 
 
 def _feature(number: int, mark: Element) -> Feature:
@@ -68,6 +70,15 @@ def _lat_lon(word: str, mode: str) -> list[float]:
     if len(height) > 1:
         raise Flaw(f"{word[:60]!r} has more numbers than longitude, latitude and height")
     return [latitude, longitude, *(() if mode in _ON_THE_GROUND else height)]
+
+
+def _refuse_depth(root: Element) -> None:
+    """Nobody needs depth, and to look through each element of it for others takes hours."""
+    level = [root]
+    for _ in range(_MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise Flaw("nested too deeply")
 
 
 def _all(holder: Element, tag: str) -> Iterator[Element]:

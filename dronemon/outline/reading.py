@@ -16,7 +16,7 @@ from dronemon.outline.outline import Outline, Zone
 from dronemon.outline.plan import plan_features
 from dronemon.outline.rings import FARTHEST_M, away_m
 
-_MAX_BYTES = 5_000_000
+_MAX_BYTES = 2_000_000
 _READERS: dict[str, Callable[[str], list[Feature]]] = {
     ".kml": kml_features,
     ".geojson": geojson_features,
