@@ -11,15 +11,13 @@ from dronemon.mission.section import Section
 from dronemon.outline import ring_in_degrees, ring_in_metres
 from dronemon.problem import SENSOR_RADIUS_AU
 
-_MOST_CORNERS = 1000
 _Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
 _Longitude = Annotated[float, Field(ge=-360.0, le=360.0)]
 _Metres = Annotated[float, Field(ge=-100_000.0, le=100_000.0)]
 _LatLon = Annotated[tuple[_Latitude, _Longitude], Field(strict=False)]
 _EastNorth = Annotated[tuple[_Metres, _Metres], Field(strict=False)]
-_Corners = Field(strict=False, max_length=_MOST_CORNERS)
-PolygonDeg = Annotated[tuple[_LatLon, ...], _Corners, AfterValidator(ring_in_degrees)]
-PolygonM = Annotated[tuple[_EastNorth, ...], _Corners, AfterValidator(ring_in_metres)]
+PolygonDeg = Annotated[tuple[_LatLon, ...], Field(strict=False), AfterValidator(ring_in_degrees)]
+PolygonM = Annotated[tuple[_EastNorth, ...], Field(strict=False), AfterValidator(ring_in_metres)]
 _BORDERS = ("file", "polygon_deg", "polygon_m")
 
 

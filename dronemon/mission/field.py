@@ -14,8 +14,7 @@ from dronemon.frames import AreaFrame, GeoPoint, degrees_to_ned, ned_to_geo
 from dronemon.mission.area import Area
 from dronemon.mission.document import Problem
 from dronemon.mission.schema import Mission
-from dronemon.outline import Field, LaidZone, Outline, away_m, read_outline
-from dronemon.outline.feature import Ring
+from dronemon.outline import Field, LaidZone, Outline, Ring, away_m, read_outline
 from dronemon.types import FloatArray
 
 _FARTHEST_M = 50_000.0
@@ -44,7 +43,8 @@ def lay_field(area: Area, frame: AreaFrame, origin: GeoPoint) -> Field:
         if zone.polygon_deg is not None:
             _refuse_far(area, f"no-fly {zone.name!r}", zone.polygon_deg, centre)
             corners_m = degrees_to_ned(np.array(zone.polygon_deg), origin)[:, :2]
-        elif zone.polygon_m is not None:
+        else:
+            assert zone.polygon_m is not None  # one of them is given
             corners_m = _from_centre(zone.polygon_m, frame)
         zones.append(LaidZone(name=zone.name, corners_ned_m=corners_m))
     field = replace(field, no_fly=tuple(zones))

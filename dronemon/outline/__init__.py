@@ -1,6 +1,6 @@
 """A field's outline from users' files: KML, GeoJSON, QGroundControl's fence."""
 
-from dronemon.outline.feature import Flaw
+from dronemon.outline.feature import Ring
 from dronemon.outline.field import Field, LaidZone
 from dronemon.outline.outline import Outline, Zone
 from dronemon.outline.reading import read_outline
@@ -8,9 +8,9 @@ from dronemon.outline.rings import away_m, circle_in_metres, ring_in_degrees, ri
 
 __all__ = [
     "Field",
-    "Flaw",
     "LaidZone",
     "Outline",
+    "Ring",
     "Zone",
     "away_m",
     "circle_in_metres",

@@ -53,13 +53,14 @@ def _text(path: Path) -> str:
     try:
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
-        text = raw.decode("utf-8-sig")
     except OSError as exc:
         raise Flaw(f"cannot be read: {exc.strerror or exc}") from exc
-    except UnicodeDecodeError as exc:
-        raise Flaw(f"is not UTF-8: byte {exc.start} is {raw[exc.start]:#04x}; save it so") from exc
     if len(raw) > _MAX_BYTES:
         raise Flaw(f"larger than {_MAX_BYTES // 10**6} MB; simplify the outline")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as exc:
+        raise Flaw(f"is not UTF-8: byte {exc.start} is {raw[exc.start]:#04x}; save it so") from exc
     if not text.strip():
         raise Flaw("is empty")
     return text

@@ -18,6 +18,7 @@ FARTHEST_M = 500_000.0
 _SAME_M = 1e-3
 """Corners in a row that are no farther apart are one."""
 _LEAST_M2 = 1.0
+_MOST_CORNERS = 1000
 _CIRCLE_SIDES = 64
 
 
@@ -105,6 +106,8 @@ def _checked(corners_m: FloatArray) -> BoolArray:
     ring = corners_m[kept]
     if len(ring) < 3:
         raise Flaw("has fewer than three different corners")
+    if len(ring) > _MOST_CORNERS:
+        raise Flaw(f"has {len(ring)} corners, more than {_MOST_CORNERS}; simplify it")
     polygon = shapely.Polygon(ring)
     if polygon.convex_hull.area < _LEAST_M2:
         raise Flaw("encloses no area: its corners are on one line")
@@ -119,7 +122,10 @@ def _where(ring_m: FloatArray, kept: BoolArray, polygon: shapely.Polygon) -> str
     """The two sides that meet where they may not, by the corners that they begin at."""
     x, y = (float(v) for v in shapely.is_valid_reason(polygon).rpartition("[")[2][:-1].split())
     ends_m = np.stack([ring_m, np.roll(ring_m, -1, axis=0)], axis=1)
-    away_m = shapely.distance(shapely.linestrings(ends_m), shapely.Point(x, y))
+    off_m = shapely.distance(shapely.linestrings(ends_m), shapely.Point(x, y))
     corners = np.flatnonzero(kept)
-    first, second = sorted(int(corners[side]) + 1 for side in np.argsort(away_m)[:2])
-    return f"where its sides from corners {first} and {second} meet"
+    first, *others = np.argsort(off_m)
+    neighbours = {(first - 1) % len(ring_m), (first + 1) % len(ring_m)}
+    second = next((side for side in others if side not in neighbours), others[0])
+    low, high = sorted(int(corners[side]) + 1 for side in (first, second))
+    return f"where its sides from corners {low} and {high} meet"

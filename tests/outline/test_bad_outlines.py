@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ HALVES = [
     [(46.9, 7.9), (46.9, 8.005), (47.1, 8.005), (47.1, 7.9)],
     [(46.9, 8.004), (46.9, 8.1), (47.1, 8.1), (47.1, 8.004)],
 ]
+MANY = [(math.cos(i / 1500.0 * math.tau), math.sin(i / 1500.0 * math.tau)) for i in range(1500)]
 HIGH = [(*corner, 12.0) for corner in SQUARE]
 LINE = [(47.0, 8.0), (47.01, 8.0), (47.02, 8.0)]
 SWAPPED = [(147.0 - a, 8.0) for a, _ in SQUARE[:2]] + [(120.0, 8.1)]
@@ -95,6 +97,11 @@ GEOJSON = {
     "bow tie": (geojson(feature(BOW_TIE, name="R")), ["feature 1, 'R': crosses"]),
     "spike": (geojson(feature(SPIKE)), ["feature 1: crosses or touches"]),
     "two corners": (geojson(feature(TWICE)), ["feature 1", "fewer than three different"]),
+    "corner twice": (
+        geojson(feature([*SQUARE, SQUARE[1]])),
+        ["feature 1: crosses or touches", "from corners 2 and 5 meet"],
+    ),
+    "many": (geojson(feature(MANY)), ["feature 1: has 1500 corners, more than 1000"]),
     "no area": (geojson(feature(LINE)), ["feature 1", "encloses no area"]),
     "swapped": (geojson(feature(SWAPPED)), ["corner 1", "swapped?"]),
     "metres": (geojson(feature(METRES)), ["corner 1", "are these metres?"]),

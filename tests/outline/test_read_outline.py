@@ -24,8 +24,8 @@ from outlines import (
     polygon,
 )
 
-from dronemon.frames import GeoPoint, degrees_to_ned, ned_to_degrees
-from dronemon.outline import Outline, circle_in_metres, read_outline
+from dronemon.frames import GeoPoint, ned_to_degrees
+from dronemon.outline import Field, LaidZone, Outline, circle_in_metres, read_outline
 
 HOME = GeoPoint(latitude_deg=47.397742, longitude_deg=8.545594, altitude_m=488.0)
 
@@ -232,17 +232,13 @@ def test_any_polygon_anywhere_is_read_as_it_was_written(
     assert np.abs(np.diff(longitudes)).max() < 180.0
 
 
-@given(places, st.floats(-5000.0, 5000.0), st.floats(-5000.0, 5000.0), st.floats(-100.0, 3000.0))
-def test_degrees_to_metres_and_back(
-    place: tuple[float, float], north_m: float, east_m: float, altitude_m: float
-):
-    latitude_deg, longitude_deg = place
-    origin = GeoPoint(latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_m=altitude_m)
-    there = ned_to_degrees(np.array([[north_m, east_m]]), origin)
-    back = degrees_to_ned(there, origin)
-    assert back.shape == (1, 3)
-    assert back[0, :2] == pytest.approx((north_m, east_m), abs=0.02)
-    assert 0.0 <= back[0, 2] + 1e-6 < 10.0
+def test_a_field_that_crosses_itself_in_metres_is_told():
+    bow_tie = np.array([(0.0, 0.0), (9.0, 9.0), (9.0, 0.0), (0.0, 9.0)])
+    square = 9.0 * np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+    zone = LaidZone(name="hut", corners_ned_m=bow_tie)
+    assert "the field crosses" in str(Field(border_ned_m=bow_tie, no_fly=()).flaw())
+    assert "'hut' crosses" in str(Field(border_ned_m=square, no_fly=(zone,)).flaw())
+    assert Field(border_ned_m=square, no_fly=()).flaw() is None
 
 
 def test_circles_touch_what_they_stand_for():
