@@ -67,9 +67,9 @@ class Area(Section):
     heading_deg: float = Field(0.0, ge=-360.0, le=360.0)
     """Clockwise turn of the square's north side, and of what counts in au, from north."""
     latitude_deg: float | None = Field(None, ge=-90.0, le=90.0)
-    """Latitude of the centre; home if absent."""
+    """Latitude of the centre, from which metres count; home if absent."""
     longitude_deg: float | None = Field(None, ge=-180.0, le=180.0)
-    """Longitude of the centre; home if absent."""
+    """Longitude of the centre, from which metres count; home if absent."""
     terrain: str | None = None
     """Heights of the ground, an ESRI ASCII grid in WGS 84 degrees (.asc); flat if absent."""
 

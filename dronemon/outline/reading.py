@@ -69,6 +69,11 @@ def _text(path: Path) -> str:
 def _outline(features: list[Feature]) -> Outline:
     shown = [feature for feature in features if feature.polygons]
     fields = [feature for feature in shown if not feature.is_no_fly]
+    for feature in features:
+        if feature.is_no_fly and not feature.polygons:
+            raise Flaw(
+                f"{feature.label}: is no-fly, but no polygon; draw what is around it, or remove it"
+            )
     if not shown:
         raise Flaw(
             f"has no polygon among its {len(features)} features; draw the field's border as a "

@@ -73,6 +73,10 @@ KML = {
         ["has 2 polygons", "Placemark 1, 'a'; Placemark 3", "no-fly"],
     ),
     "points": (kml(POINTS, POINTS), ["no polygon among its 2 features"]),
+    "a no-fly line": (
+        kml(placemark(SQUARE), POINTS.replace("<Point>", "<name>No-fly road</name><Point>")),
+        ["Placemark 2, 'No-fly road': is no-fly, but no polygon"],
+    ),
     "nothing": (kml(), ["no polygon among its 0 features"]),
     "zones only": (kml(placemark(SQUARE, name="no-fly all")), ["no-fly zones only"]),
     "words": (

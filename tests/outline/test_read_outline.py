@@ -6,9 +6,12 @@ import json
 import math
 from pathlib import Path
 
+import fastkml
 import numpy as np
 import pytest
 import shapely
+from fastkml.utils import find_all
+from geojson_pydantic import FeatureCollection
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from outlines import (
@@ -51,6 +54,18 @@ def test_a_field_is_the_same_from_every_program(form: str):
     assert len(found.no_fly) == len(expected.no_fly) == 2
     for zone, other in zip(found.no_fly, expected.no_fly, strict=True):
         assert zone.corners_ned_m == pytest.approx(other.corners_ned_m, abs=0.1)
+
+
+def test_other_readers_see_the_same_corners():
+    """Others' libraries, which know what KML and GeoJSON are."""
+    document = next(iter(fastkml.KML.parse(RESERVE["kml"]).features))
+    marks = {mark.name: mark for mark in find_all(document, of_type=fastkml.Placemark)}
+    collection = FeatureCollection.model_validate_json(RESERVE["geojson"].read_text())
+    for outline, corners in (
+        (read_outline(RESERVE["kml"]), marks["Reserve"].geometry.exterior.coords),
+        (read_outline(RESERVE["geojson"]), collection.features[0].geometry.coordinates[0]),
+    ):
+        assert outline.border_deg == tuple((c[1], c[0]) for c in corners[:-1])
 
 
 def test_the_shipped_reserve_is_what_it_is_said_to_be():
