@@ -33,6 +33,7 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
 
     def problems(mission: Mission) -> Iterator[Problem]:
         yield from _simulator_problems(mission, follow)
+        yield from _shape_problems(mission)
         yield from _sight_problems(mission)
         yield from _planner_problems(mission)
         yield from _lens_problems(mission)
@@ -200,11 +201,23 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
             )
 
 
+def _shape_problems(mission: Mission) -> Iterator[Problem]:
+    """Whether what flies can take the field's shape."""
+    if not mission.area.is_square:
+        yield (
+            ("area", mission.area.border_key or "no_fly"),
+            "fields that are no squares cannot be flown yet",
+        )
+
+
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the camera sees the whole footprint from the patrol's height, and targets in it."""
     needed_px = needed_px_per_m(mission)
     highest_m = math.inf if needed_px is None else mission.camera.model.focal_px / needed_px
-    side_m, altitude_m = mission.area.side_m, mission.flight.altitude_m
+    altitude_m, radius_m = mission.flight.altitude_m, mission.area.sensor_radius_m
+    key, size_m = (
+        ("side_m", mission.area.side_m) if radius_m is None else ("sensor_radius_m", radius_m)
+    )
     needed_m, tilt_deg = needed_altitude_m(mission), math.degrees(tilt_rad(mission))
     tilt = f"while it banks {tilt_deg:.1f} degrees to accelerate"
     or_lower = f", or lower {mission.flight.what_banks}"
@@ -218,19 +231,19 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
         )
     elif highest_m < needed_m:
         yield (
-            ("area", "side_m"),
-            f"{side_m:g} m is too large for the camera: its footprint of "
+            ("area", key),
+            f"{size_m:g} m is too large for the camera: its footprint of "
             f"{mission.sensor_radius_m:g} m takes {needed_m:.1f} m of height, but "
             f"above {highest_m:.0f} m a metre is less than the {needed_px:g} pixels that "
-            f"the detector needs; make it {side_m * highest_m / needed_m:.0f} m "
+            f"the detector needs; make it {size_m * highest_m / needed_m:.0f} m "
             f"or less, or use a camera with more pixels{or_lower}",
         )
     elif altitude_m < needed_m:
         yield (
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too low: the camera must see {mission.sensor_radius_m:g} m "
-            f"around the drone (0.1 of the area's side) {tilt}, which takes {needed_m:.1f} m at "
-            f"its angle of view; fly higher, or make the area smaller{or_lower}",
+            f"around the drone (0.1 au) {tilt}, which takes {needed_m:.1f} m at its angle of "
+            f"view; fly higher, or make area.{key} smaller{or_lower}",
         )
     elif altitude_m > highest_m:
         yield (

@@ -13,14 +13,14 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from dronemon.arena import ARENA
-from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned, ned_to_geo
+from dronemon.frames import AreaFrame, GeoPoint, degrees_to_ned, ned_to_geo
+from dronemon.outline import circle_in_metres
 from dronemon.types import BoolArray, FloatArray, Pose
 
 _SIDES = 8
 """Of what stands for a circle around a place: more make more corners, fewer a larger fence."""
 _STOP_S = 2.0
 """A drone that brakes as hard as it turns stops within the way that it flies in this time."""
-_CIRCLE_SIDES = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,24 +113,10 @@ class FenceArea:
         )
 
     def _outline_ned_m(self, origin: GeoPoint) -> FloatArray:
-        corners_m = np.array(
-            [
-                geo_to_ned(
-                    GeoPoint(
-                        latitude_deg=latitude, longitude_deg=longitude, altitude_m=origin.altitude_m
-                    ),
-                    origin,
-                )[:2]
-                for latitude, longitude in self.corners_deg
-            ]
-        )
-        if self.radius_m is None:
-            return corners_m
-        # Within a circle that keeps the drone in, around one that keeps it out.
-        reach_m = self.radius_m / (1.0 if self.is_inclusion else math.cos(np.pi / _CIRCLE_SIDES))
-        angle = np.arange(_CIRCLE_SIDES) * 2.0 * np.pi / _CIRCLE_SIDES
-        rim_m: FloatArray = corners_m + reach_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        return rim_m
+        outline_m: FloatArray = degrees_to_ned(np.array(self.corners_deg), origin)[:, :2]
+        if self.radius_m is not None:
+            outline_m = outline_m + circle_in_metres(self.radius_m, is_inside=self.is_inclusion)
+        return outline_m
 
 
 def _contains(polygon: FloatArray, place: FloatArray) -> bool:

@@ -38,6 +38,12 @@ class GeoPoint:
     longitude_deg: float
     altitude_m: float = 0.0
 
+    @classmethod
+    def at(cls, place_deg: Sequence[float]) -> GeoPoint:
+        """The place on the ellipsoid of a latitude and a longitude."""
+        latitude_deg, longitude_deg = place_deg
+        return cls(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+
     def __str__(self) -> str:
         return f"{self.latitude_deg:.6f}, {self.longitude_deg:.6f}"
 
@@ -138,6 +144,24 @@ def ned_to_degrees(place_ned_m: FloatArray, origin: GeoPoint) -> FloatArray:
         origin.altitude_m,
     )
     return np.stack([latitude, longitude], axis=-1)
+
+
+def degrees_to_ned(places_deg: FloatArray, origin: GeoPoint) -> FloatArray:
+    """Local coordinates of places as high as the origin.
+
+    places_deg: (..., 2) deg latitude, longitude
+    -> (..., 3) m north, east, down; the earth's curvature makes this more than 0
+    """
+    places = np.asarray(places_deg, dtype=np.float64)
+    north_east_down = pymap3d.geodetic2ned(
+        places[..., 0],
+        places[..., 1],
+        np.full(places.shape[:-1], origin.altitude_m),
+        origin.latitude_deg,
+        origin.longitude_deg,
+        origin.altitude_m,
+    )
+    return np.stack(north_east_down, axis=-1)
 
 
 def body_to_ned(attitude_rad: tuple[float, float, float]) -> FloatArray:

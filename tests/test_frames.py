@@ -17,9 +17,11 @@ from dronemon.frames import (
     attitude_of,
     body_to_ned,
     camera_to_ned,
+    degrees_to_ned,
     geo_to_ned,
     gimbal_to_camera,
     ground_to_pixel,
+    ned_to_degrees,
     ned_to_geo,
     off_down_rad,
     pixel_to_ground,
@@ -224,3 +226,23 @@ def test_gimbals_angles_that_people_know(gimbal_deg, camera_deg):
     roll, pitch, yaw = np.radians(gimbal_deg)
     told_deg = np.degrees(gimbal_to_camera((roll, pitch, yaw)))
     np.testing.assert_allclose((told_deg - camera_deg + 180.0) % 360.0 - 180.0, 0.0, atol=1e-9)
+
+
+@given(
+    st.tuples(st.floats(-89.9, 89.9), angles.map(math.degrees)),
+    st.floats(-5000.0, 5000.0),
+    st.floats(-5000.0, 5000.0),
+    st.floats(-100.0, 3000.0),
+)
+def test_degrees_to_metres_and_back(
+    place: tuple[float, float], north_m: float, east_m: float, altitude_m: float
+):
+    latitude_deg, longitude_deg = place
+    origin = GeoPoint(latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_m=altitude_m)
+    there = ned_to_degrees(np.array([[north_m, east_m]]), origin)
+    back = degrees_to_ned(there, origin)
+    assert back.shape == (1, 3)
+    as_geo = GeoPoint(latitude_deg=there[0, 0], longitude_deg=there[0, 1], altitude_m=altitude_m)
+    assert back[0] == pytest.approx(geo_to_ned(as_geo, origin), abs=1e-6)
+    assert back[0, :2] == pytest.approx((north_m, east_m), abs=0.02)
+    assert 0.0 <= back[0, 2] + 1e-6 < 10.0

@@ -15,6 +15,7 @@ LAYERS = {
     "frames": 0,
     "clock": 0,
     "events": 0,
+    "outline": 0,
     "arena": 0,
     "sensor": 0,
     "energy": 0,
@@ -68,6 +69,7 @@ ORDER_IN_LAYER_0 = (
     "problem",
     "types",
     "frames",
+    "outline",
     "clock",
     "events",
     "arena",
@@ -94,6 +96,7 @@ PLACES = {
     "pymavlink": {"vehicle"},
     "matplotlib": {"evaluation", "explain", "report"},
     "shapely": {"arena", "export", "outline"},
+    "defusedxml": {"outline"},
     "gymnasium": {"gym"},
     "ray": {"cluster"},
 }

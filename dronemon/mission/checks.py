@@ -12,6 +12,7 @@ from dronemon.mission.addresses import is_video_file
 from dronemon.mission.detector import KEYS_OF_KIND, DetectorSection
 from dronemon.mission.document import Problem
 from dronemon.mission.faults import parse_fault
+from dronemon.mission.field import field_problems
 from dronemon.mission.schema import Mission
 from dronemon.types import APPEARANCES
 
@@ -24,6 +25,7 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
     """Each key at fault, and what is wrong."""
     yield from _twins(mission)
     yield from _detector_problems(mission)
+    yield from field_problems(mission)
     flight = mission.flight
     if flight.speed_limit_m_s < flight.cruise_speed_m_s:
         yield (

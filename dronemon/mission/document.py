@@ -28,6 +28,8 @@ Overrides = Mapping[tuple[str, str], tuple[str, object]]
 """Section and key -> name and value of a command line option, as if it stood in the file."""
 _MAX_BYTES = 1_000_000
 _MAX_DEPTH = 20
+_WRONG_ELSEWHERE = "default_factory_not_called"
+"""Of a default that follows from another key, where that one is wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +166,8 @@ def _take_out(model: type[BaseModel], data: dict[str, Any], key_path: KeyPath) -
 
 def _problems(model: type[BaseModel], exc: ValidationError) -> Iterator[Problem]:
     """What is wrong with data for a model: each key and its explanation, misspelt keys first."""
-    found = sorted(exc.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    errors = [e for e in exc.errors(include_url=False) if e["type"] != _WRONG_ELSEWHERE]
+    found = sorted(errors, key=lambda e: e["type"] != "extra_forbidden")
     told: set[KeyPath] = set()
     inside = {error["loc"][:n] for error in found for n in range(len(error["loc"]))}
     for error in found:
@@ -228,7 +231,7 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
     if kind == "missing":
         return "is missing; add it"
     key_path = tuple(takewhile(_is_key, error["loc"]))
-    if kind == "tuple_type" and (about := _fields(model, key_path)[key_path[-1]].description):
+    if kind == "tuple_type" and (about := _description(model, key_path)):
         return f"{given!r} cannot be this: {about}"
     if kind == "value_error":
         return message.removeprefix("Value error, ")
@@ -236,6 +239,14 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
     if kind in {"float_type", "float_parsing", "int_type", "int_parsing"}:
         text += "; write a bare number, its unit is the end of the key"
     return text
+
+
+def _description(model: Any, key_path: KeyPath) -> str | None:
+    """What is said of a key, or of that whose item it is."""
+    while isinstance(key_path[-1], int):
+        key_path = key_path[:-1]
+    about: str | None = _fields(model, key_path)[key_path[-1]].description
+    return about
 
 
 def _nearest(model: Any, key_path: KeyPath) -> list[str]:

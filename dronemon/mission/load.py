@@ -82,6 +82,7 @@ def _anchor_files(data: dict[str, Any], folder: Path) -> None:
         ("planner", "checkpoint", lambda name: Path(name).suffix or Path(name).parent != Path()),
         ("camera", "url", is_video_file),
         ("area", "terrain", bool),
+        ("area", "file", bool),
         ("camera", "calibration", bool),
         ("detector", "file", bool),
         ("simulation", "motion", is_tracks),

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from dronemon.mission.addresses import mavlink_url_problem
+from dronemon.mission.area import Area
 from dronemon.mission.camera import Camera, PlaceErrors
 from dronemon.mission.detector import DetectorSection
 from dronemon.mission.faults import parse_fault
@@ -35,30 +36,6 @@ Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
 _TURN_S = 4.0
 GIMBAL_ERROR_DEG = 5.0
 """How far a gimbal that was told to look down may look off."""
-
-
-class Area(Section):
-    """The monitored square. Without latitude and longitude its centre is home."""
-
-    side_m: float = Field(200.0, ge=10.0, le=20_000.0)
-    """Length of the square's side; one au."""
-    heading_deg: float = Field(0.0, ge=-360.0, le=360.0)
-    """Clockwise turn of the square's north side from north."""
-    latitude_deg: float | None = Field(None, ge=-90.0, le=90.0)
-    """Latitude of the centre; home if absent."""
-    longitude_deg: float | None = Field(None, ge=-180.0, le=180.0)
-    """Longitude of the centre; home if absent."""
-    terrain: str | None = None
-    """Heights of the ground, an ESRI ASCII grid in WGS 84 degrees (.asc); flat if absent."""
-
-    @model_validator(mode="after")
-    def _both_or_neither(self) -> Area:
-        if (self.latitude_deg is None) != (self.longitude_deg is None):
-            raise ValueError(
-                "give latitude_deg and longitude_deg together, or neither: "
-                "the area is then centred on home"
-            )
-        return self
 
 
 class Flight(Section):

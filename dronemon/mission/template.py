@@ -35,6 +35,6 @@ def mission_template() -> str:
 
 def _line(key: str, field: FieldInfo) -> str:
     """A key with its default, as a comment if it has none, and what it means."""
-    default: Any = field.default
+    default: Any = field.get_default(call_default_factory=True, validated_data={})
     given = f"# {key}:" if default is None else f"{key}: {json.dumps(default)}"
     return f"{given}  # {field.description}"

@@ -1,0 +1,62 @@
+"""What the readers of all formats give: features made of polygons."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+NAMED_SO = re.compile(r"\s*no[\W_]?fly", re.IGNORECASE)
+_YES, _NO = {"true", "yes", "1"}, {"false", "no", "0", "", "none"}
+_LONGEST_NAME = 80
+
+
+class Flaw(ValueError):
+    """What is wrong with what a user wrote; whoever knows file and key adds them."""
+
+
+@contextlib.contextmanager
+def blamed_on(what: str) -> Iterator[None]:
+    """Have a flaw that is found meanwhile name what has it."""
+    try:
+        yield
+    except Flaw as flaw:
+        raise Flaw(f"{what}: {flaw}") from flaw
+
+
+Ring = tuple[tuple[float, float], ...]
+"""Latitude and longitude of each corner in order, the first one not again at the end."""
+Polygon = tuple[Ring, ...]
+"""A ring around it, and one around each of its holes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feature:
+    """One thing of a file.
+
+    label:    what errors call it
+    name:     as the file has it, on one line; empty if it has none
+    polygons: none of a point, a line and so on
+    """
+
+    label: str
+    name: str
+    is_no_fly: bool
+    polygons: tuple[Polygon, ...]
+
+
+def plain_name(given: object) -> str:
+    """A name as it can be shown on one line, from whatever a file has there."""
+    if given is None or isinstance(given, bool | list | dict):
+        return ""
+    text = f"{given:g}" if isinstance(given, float) else str(given)
+    return "".join(c for c in " ".join(text.split()) if c.isprintable())[:_LONGEST_NAME]
+
+
+def is_no_fly(name: str, mark: object) -> bool:
+    """Whether a feature's name or its property `no_fly` says so. Raises Flaw."""
+    text = (f"{mark:g}" if isinstance(mark, float) else str(mark)).strip().lower()
+    if text not in _YES | _NO:
+        raise Flaw(f"no_fly is {text[:_LONGEST_NAME]!r}, which is neither true nor false")
+    return text in _YES or bool(NAMED_SO.match(name))
