@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from dronemon.arena import ARENA
 from dronemon.frames import AreaFrame, GeoPoint, degrees_to_ned, ned_to_geo
 from dronemon.outline import circle_in_metres
 from dronemon.types import BoolArray, FloatArray, Pose
@@ -53,7 +52,7 @@ class Fence:
         angle = (np.arange(_SIDES) + 0.5) * 2.0 * np.pi / _SIDES
         reach_m = margin_m / math.cos(np.pi / _SIDES)  # its sides, not its corners, are so far out
         rim_m = reach_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        places_m = np.concatenate([frame.au_to_ned(ARENA.grid(2)), np.array(others_ned_m)])
+        places_m = np.concatenate([frame.au_to_ned(frame.arena.outline_au), np.array(others_ned_m)])
         hull = ConvexHull((places_m[:, None] + rim_m).reshape(-1, 2))
         down_m = frame.ground_down_m - altitude_m
         return cls(

@@ -1,10 +1,10 @@
-"""All conversions: unit square <-> local NED <-> latitude/longitude, and pixel <-> ground.
+"""All conversions: arena <-> local NED <-> latitude/longitude, and pixel <-> ground.
 
 Nothing else converts.
 
-    x_au  along the area's east side      (x, y) side_m from the corner, turned by the heading
+    x_au  along the area's east side      (0.5, 0.5) is its centre; turned by the heading
     y_au  along its north side            down  = ground_down_m - height
-    t_au  = t_s * cruise_speed / side     the time in which one side is flown
+    t_au  = t_s * cruise_speed / side     the time in which one au, the square's side, is flown
 
 The local NED origin is the EKF's (asked of the vehicle), which need not be home. A pixel (u, v) has
 its origin at the top left corner of the picture; the picture's top points to the vehicle's nose.
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import pymap3d
 
+from dronemon.arena import ARENA, Arena
 from dronemon.types import CameraModel, FloatArray, GimbalAttitude, Pose, Vector3
 
 _CAMERA_TO_GIMBAL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -50,11 +51,13 @@ class GeoPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AreaFrame:
-    """The monitored square, laid into the vehicle's local NED frame.
+    """The monitored area, laid into the vehicle's local NED frame.
 
-    centre_ned_m: north and east of the square's centre; heading_rad: clockwise turn of its y side
-    from north; ground_down_m: down
-    coordinate of the ground.
+    centre_ned_m:  north and east of (0.5, 0.5) au
+    ground_down_m: down coordinate of the ground
+    side_m:        length of one au
+    heading_rad:   clockwise turn of the y axis from north
+    arena:         the area in au
     """
 
     centre_ned_m: tuple[float, float]
@@ -62,6 +65,7 @@ class AreaFrame:
     side_m: float
     heading_rad: float
     cruise_speed_m_s: float
+    arena: Arena = ARENA
 
     @property
     def _axes(self) -> FloatArray:
@@ -70,7 +74,7 @@ class AreaFrame:
         return np.array([[-s, c], [c, s]])
 
     def au_to_ned(self, position_au: FloatArray) -> FloatArray:
-        """Ground coordinates of unit-square points.
+        """Ground coordinates of places in au.
 
         Position_au: (..., 2) au -> (..., 2) north, east in m.
         """
@@ -79,7 +83,7 @@ class AreaFrame:
         return ned
 
     def ned_to_au(self, position_ned_m: FloatArray) -> FloatArray:
-        """Unit-square coordinates of local points.
+        """Places in au of local points.
 
         Position_ned_m: (..., 2 or 3) m, down ignored -> (..., 2) au.
         """

@@ -70,8 +70,8 @@ class _Leg:
 class Carrot:
     """Moves along a growing path of legs in the horizontal plane (north, east in metres).
 
-    window_m is how long before a leg's end the next one is needed; with none known the carrot
-    brakes from there on.
+    window_m: how long before a leg's end the next one is needed; with none known the carrot brakes
+    from there on. The path is off its legs by half of it at most.
     """
 
     def __init__(
@@ -81,11 +81,12 @@ class Carrot:
         speed_m_s: float,
         max_speed_m_s: float,
         max_acceleration_m_s2: float,
+        window_m: float,
         ground_speed_m_s: float = 0.0,
     ) -> None:
         self._cruise_m_s = speed_m_s
         self._max_m_s = max_speed_m_s
-        self.window_m = 0.5 * speed_m_s**2 / max_acceleration_m_s2
+        self.window_m = window_m
         self._acceleration_m_s2 = max_acceleration_m_s2
         self._speed_m_s = min(ground_speed_m_s, speed_m_s)  # of a vehicle on the path
         self._legs: deque[_Leg] = deque()

@@ -230,12 +230,8 @@ def _ground_from_sprite(rows: int, columns: int, at: tuple[float, float, float])
 
 def _draw_tape(image: ImageArray, view: _View, frame: AreaFrame) -> None:
     """The area's boundary, a pale tape on the ground."""
-    half_diagonal_m = frame.side_m / math.sqrt(2.0)
-    bearings = frame.heading_rad + np.deg2rad([45.0, 135.0, 225.0, 315.0])
-    corners = np.ones((4, 3))
-    corners[:, 0] = frame.centre_ned_m[0] + half_diagonal_m * np.cos(bearings)
-    corners[:, 1] = frame.centre_ned_m[1] + half_diagonal_m * np.sin(bearings)
-    corners[:, :2] -= view.north_east_m
+    corners_m = frame.au_to_ned(frame.arena.outline_au[:-1]) - view.north_east_m
+    corners = np.column_stack([corners_m, np.ones(len(corners_m))])
     projected = corners @ view.homography(0.0).T
     thickness = max(1, round(0.12 * view.px_per_m))
     nearest = _NEAREST * view.height_m

@@ -9,13 +9,14 @@ from __future__ import annotations
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
-from dronemon.mission import Mission
+from dronemon.mission import Mission, field_centre, lay_frame, mission_arena
 from dronemon.types import FloatArray, Pose, Vector3
 from dronemon.world import Instance
 from sim.scene import Animal, Scene
@@ -35,7 +36,11 @@ class World:
         self._pictured_s: float | None = None
         simulated = mission.simulation
         self._paths = Instance.draw(
-            simulated.seed, len(mission.targets), simulated.motion, simulated.speed_spread
+            simulated.seed,
+            len(mission.targets),
+            simulated.motion,
+            simulated.speed_spread,
+            mission_arena(mission),
         ).paths
 
     def walked_au(self, walking_s: float) -> float:
@@ -50,17 +55,10 @@ class World:
 
     def frame(self, home_ned_m: Vector3, origin: GeoPoint) -> AreaFrame:
         """The area, laid around home or the mission's coordinates."""
-        area = self._mission.area
         north, east = home_ned_m[0], home_ned_m[1]
         if (centre := _area_centre(self._mission, origin.altitude_m)) is not None:
             north, east, _ = (float(v) for v in geo_to_ned(centre, origin))
-        return AreaFrame(
-            centre_ned_m=(north, east),
-            ground_down_m=home_ned_m[2],
-            side_m=area.side_m,
-            heading_rad=math.radians(area.heading_deg),
-            cruise_speed_m_s=self._mission.flight.cruise_speed_m_s,
-        )
+        return lay_frame(self._mission, (north, east), home_ned_m[2])
 
     def scene(
         self,
@@ -91,15 +89,23 @@ class World:
 
 
 def home_place(mission: Mission) -> GeoPoint:
-    """Where the mock stands at first: the area's centre, if the mission says where that is."""
-    return _area_centre(mission, DEFAULT_PLACE.altitude_m) or DEFAULT_PLACE
+    """Where the mock stands at first: the area's centre, if the mission says where that is.
+
+    If the drone may not be there, the nearest place where it may.
+    """
+    centre = _area_centre(mission, DEFAULT_PLACE.altitude_m)
+    if centre is None:
+        return DEFAULT_PLACE
+    frame = lay_frame(mission, (0.0, 0.0), 0.0)
+    middle_au = np.array([0.5, 0.5])
+    if frame.arena.segment_is_free(middle_au, middle_au):
+        return centre
+    return frame.au_to_geo(frame.arena.clip_free(middle_au), centre)
 
 
 def _area_centre(mission: Mission, altitude_m: float) -> GeoPoint | None:
-    north_deg, east_deg = mission.area.latitude_deg, mission.area.longitude_deg
-    if north_deg is None or east_deg is None:
-        return None
-    return GeoPoint(latitude_deg=north_deg, longitude_deg=east_deg, altitude_m=altitude_m)
+    centre = field_centre(mission.area)
+    return replace(centre, altitude_m=altitude_m) if centre is not None else None
 
 
 class TruthFile:

@@ -22,6 +22,7 @@ def _carrot(max_speed: float = 1.1 * SPEED) -> Carrot:
         speed_m_s=SPEED,
         max_speed_m_s=max_speed,
         max_acceleration_m_s2=ACCELERATION,
+        window_m=0.5 * SPEED**2 / ACCELERATION,
     )
 
 

@@ -6,15 +6,16 @@ for the search is in `dronemon.planner.moving`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from shapely import Polygon
 
 from dronemon.arena.region import ROUNDING_AU, Region
-from dronemon.arena.ways import Ways
+from dronemon.arena.ways import CLEAR_AU, Ways
 from dronemon.types import BoolArray, FloatArray
 
 Corners = tuple[tuple[float, float], ...]
@@ -64,6 +65,12 @@ class Arena:
         arena.free  # noqa: B018  # asked for now, so that nobody meets its error later
         return arena
 
+    @classmethod
+    def told(cls, values: Mapping[str, Any]) -> Arena:
+        """Read what `dataclasses.asdict` made of one, and JSON of that."""
+        tuples = {key: _tupled(value) for key, value in values.items()}
+        return cls(**tuples)
+
     @property
     def is_rectangle(self) -> bool:
         """Whether it is one along the axes, in all of which the agent may be."""
@@ -75,19 +82,27 @@ class Arena:
         return Region(Polygon(self.border_au or self.outline_au))
 
     @cached_property
+    def _parts(self) -> list[Region]:
+        return self.field.parts(self.margin_au, map(Polygon, self.no_fly_au))
+
+    @property
     def free(self) -> Region:
         """Where the agent may be: one part, the largest. ValueError where there is none."""
-        inner = self.field.shrunk(self.margin_au)
-        zones = [
-            Polygon(zone).buffer(self.margin_au, join_style="mitre", mitre_limit=2.0)
-            for zone in self.no_fly_au
-        ]
-        free = inner.without(zones) if inner is not None else None
-        if free is None:
+        if not self._parts:
             raise ValueError(
                 f"no-fly zones and a margin of {self.margin_au:.3g} au leave nothing to fly in"
             )
-        return free
+        return self._parts[0]
+
+    @property
+    def cut_off(self) -> float:
+        """Share of where the agent might be that no way leads to from there."""
+        return 1.0 - self.free.area_au2 / sum(part.area_au2 for part in self._parts)
+
+    @cached_property
+    def goals(self) -> Region:
+        """Where search puts goals: a little off the edges, or a way between two might cross one."""
+        return next(iter(self.free.parts(CLEAR_AU / 2.0)), self.free)
 
     @cached_property
     def ways(self) -> Ways:
@@ -100,11 +115,16 @@ class Arena:
         return np.array([self.low_au, self.high_au])
 
     @property
+    def box_au(self) -> FloatArray:
+        """Corners of the box around it, from the low one on by that of most x. -> (4, 2) au."""
+        (left, bottom), (right, top) = self.low_au, self.high_au
+        return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
+
+    @property
     def outline_au(self) -> FloatArray:
         """Its corners, as a walk around it that ends where it began. -> (n + 1, 2) float64 au."""
-        (left, bottom), (right, top) = self.low_au, self.high_au
-        around = self.border_au or ((left, bottom), (right, bottom), (right, top), (left, top))
-        return np.array([*around, around[0]])
+        around = np.array(self.border_au) if self.border_au else self.box_au
+        return np.concatenate([around, around[:1]])
 
     @property
     def extent_au(self) -> FloatArray:
@@ -141,7 +161,8 @@ class Arena:
         -> (..., 2) float64 au
         """
         if not self.is_rectangle:
-            return (self.free.shrunk(margin_au) or self.free).clip(places_au)
+            region = next(iter(self.free.parts(margin_au)), self.free) if margin_au else self.free
+            return region.clip(places_au)
         low, high = self.bounds
         clipped: FloatArray = np.clip(places_au, low + margin_au, high - margin_au)
         return clipped
@@ -203,6 +224,10 @@ class Arena:
 def _product(axes: FloatArray) -> FloatArray:
     """Every pair of coordinates. axes: (2, size) -> (size * size, 2)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _tupled(value: Any) -> Any:
+    return tuple(map(_tupled, value)) if isinstance(value, list) else value
 
 
 def _pair(place: FloatArray) -> tuple[float, float]:

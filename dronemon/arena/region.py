@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 
 import numpy as np
@@ -48,15 +49,16 @@ class Region:
         clipped[is_out] = shapely.get_coordinates(shapely.get_point(nearest, 0))
         return clipped
 
-    def shrunk(self, margin_au: float) -> Region | None:
-        """What is so far inside, the largest part of it; None if there is none."""
-        if margin_au == 0.0:
-            return self
-        return _largest(self.shape.buffer(-margin_au, join_style="mitre", mitre_limit=2.0))
+    def parts(self, margin_au: float, without: Iterable[Polygon] = ()) -> list[Region]:
+        """What is left a margin away from the border and from other polygons, largest first."""
 
-    def without(self, others: list[Polygon]) -> Region | None:
-        """What others leave of it, the largest part; None if there is none."""
-        return _largest(self.shape.difference(shapely.union_all(others)))
+        def buffered(shape: Polygon, distance_au: float) -> BaseGeometry:
+            return shape.buffer(distance_au, join_style="mitre", mitre_limit=2.0)
+
+        taken = shapely.union_all([buffered(other, margin_au) for other in without])
+        left = buffered(self.shape, -margin_au).difference(taken)
+        parts = [p for p in shapely.get_parts(left) if p.geom_type == "Polygon" and not p.is_empty]
+        return [Region(part) for part in sorted(parts, key=shapely.area, reverse=True)]
 
     @cached_property
     def _triangles(self) -> tuple[FloatArray, FloatArray]:
@@ -77,6 +79,11 @@ class Region:
         return places
 
     @property
+    def area_au2(self) -> float:
+        """How large it is."""
+        return float(self.shape.area)
+
+    @property
     def rings(self) -> list[FloatArray]:
         """Its border and those of its holes, (n, 2) au each, not closed, inside to the left."""
         rings = (self.shape.exterior, *self.shape.interiors)
@@ -86,9 +93,3 @@ class Region:
     def edges(self) -> FloatArray:
         """(E, 4) au: x and y of the start and of the end of each edge."""
         return np.concatenate([np.hstack([r, np.roll(r, -1, axis=0)]) for r in self.rings])
-
-
-def _largest(shape: BaseGeometry) -> Region | None:
-    parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
-    largest = max(parts, key=shapely.area, default=None)
-    return None if largest is None or largest.is_empty else Region(largest)

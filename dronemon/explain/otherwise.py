@@ -13,12 +13,12 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 
-from dronemon.arena import ARENA
+from dronemon.arena import Arena
 from dronemon.errors import PlannerError, blaming, writing
 from dronemon.explain.decisions import begin_anew, read_decisions
 from dronemon.feasibility import make_planner
 from dronemon.flight_options import RunArgument
-from dronemon.mission import Mission
+from dronemon.mission import Mission, mission_arena
 from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Planner, Snapshot
 from dronemon.planner.motion import waypoint_flaw
@@ -87,7 +87,9 @@ def decide_otherwise(folder: RunFolder, planner: Planner) -> Choices:
     """Ask a planner at each decision of a run. Raises RecordError, PlannerError."""
     decisions = read_decisions(folder)
     made = decisions.made
-    answers = [_ask(planner, snapshot) for _, snapshot in begin_anew(planner, decisions, made)]
+    arena = mission_arena(decisions.mission)
+    asked = begin_anew(planner, decisions, made)
+    answers = [_ask(planner, snapshot, arena) for _, snapshot in asked]
     waypoints_au, took_ms = zip(*answers, strict=True)
     return Choices(
         times_au=np.array([decision.time_au for decision in made]),
@@ -98,14 +100,14 @@ def decide_otherwise(folder: RunFolder, planner: Planner) -> Choices:
     )
 
 
-def _ask(planner: Planner, snapshot: Snapshot) -> tuple[FloatArray, float]:
+def _ask(planner: Planner, snapshot: Snapshot, arena: Arena) -> tuple[FloatArray, float]:
     """The planner's waypoint in au, and the milliseconds that it took. Raises PlannerError."""
     who = f"planner '{planner.name}'"
     began_s = time.perf_counter()
     with blaming(who, PlannerError):
         waypoint = planner.next_waypoint(snapshot)
         took_ms = 1e3 * (time.perf_counter() - began_s)
-        flaw = waypoint_flaw(waypoint, snapshot.position_au, ARENA)
+        flaw = waypoint_flaw(waypoint, snapshot.position_au, arena)
     if flaw:
         raise PlannerError(f"{who} gave at {snapshot.time_au:.3f} au {flaw}")
     return waypoint.position_au, took_ms
@@ -152,7 +154,7 @@ def _draw(choices: Choices, mission: Mission, name: str) -> Figure:
     """Every leg flown, and beside it the leg that the other would have flown from there."""
     figure = Figure(figsize=(7.0, 7.4), layout="constrained")
     panel = figure.add_subplot()
-    panel.plot(*ARENA.outline_au.T, color="0.3", linewidth=1.0)
+    panel.plot(*mission_arena(mission).outline_au.T, color="0.3", linewidth=1.0)
     legs = zip(
         choices.places_au, choices.flown_to_au, choices.otherwise_au, choices.apart_au, strict=True
     )

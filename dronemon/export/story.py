@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from dronemon.arena import ARENA
 from dronemon.camera import crop_path
 from dronemon.errors import RecordError
 from dronemon.frames import GeoPoint
@@ -105,7 +104,9 @@ def _made(folder: RunFolder, mission: Mission) -> str:
 
 
 def _corners(laid: Laid) -> list[GeoPoint]:
-    return [laid.frame.au_to_geo(corner_au, laid.origin) for corner_au in ARENA.outline_au]
+    return [
+        laid.frame.au_to_geo(corner_au, laid.origin) for corner_au in laid.frame.arena.outline_au
+    ]
 
 
 def _sightings(run: Path, line: Mapping[str, Any], mission: Mission) -> list[Sighting]:

@@ -12,7 +12,7 @@ from dronemon.mission.addresses import is_video_file
 from dronemon.mission.detector import KEYS_OF_KIND, DetectorSection
 from dronemon.mission.document import Problem
 from dronemon.mission.faults import parse_fault
-from dronemon.mission.field import field_problems
+from dronemon.mission.field import field_problems, reach_m
 from dronemon.mission.schema import Mission
 from dronemon.types import APPEARANCES
 
@@ -102,7 +102,7 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
 
 def _reach_m(mission: Mission, away_m: float) -> float:
     """Distance of the farthest corner from home, whose distance from the centre is `away_m`."""
-    return away_m + mission.area.side_m * 0.71
+    return away_m + reach_m(mission)
 
 
 def outbound_min(mission: Mission, away_m: float = 0.0) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.errors import MissionFileError
 from dronemon.frames import AreaFrame, GeoPoint, degrees_to_ned, ned_to_geo
 from dronemon.mission.area import Area
@@ -17,6 +17,8 @@ from dronemon.mission.schema import Mission
 from dronemon.outline import Field, LaidZone, Outline, Ring, away_m, read_outline
 from dronemon.types import FloatArray
 
+_MOST_CUT_OFF = 0.05
+"""Share of what is free that may be cut off from the rest."""
 _FARTHEST_M = 50_000.0
 """From what an area's metres count from: no drone patrols farther from home."""
 
@@ -53,30 +55,87 @@ def lay_field(area: Area, frame: AreaFrame, origin: GeoPoint) -> Field:
     return field
 
 
+def field_centre(area: Area) -> GeoPoint | None:
+    """What an area lies around: (0.5, 0.5) au; None where that is home. Raises MissionFileError."""
+    if area.latitude_deg is not None and area.longitude_deg is not None:
+        return GeoPoint(latitude_deg=area.latitude_deg, longitude_deg=area.longitude_deg)
+    if (outline := _outline(area)) is None:
+        return None
+    border_deg = np.array(outline.border_deg)
+    return GeoPoint.at((border_deg.min(axis=0) + border_deg.max(axis=0)) / 2.0)
+
+
+def mission_arena(mission: Mission) -> Arena:
+    """The mission's area in au, the same wherever home is. Raises MissionFileError."""
+    area, flight = mission.area, mission.flight
+    if area.is_square:
+        return ARENA
+    frame = _frame(mission, (0.0, 0.0), 0.0)
+    field = lay_field(area, frame, field_centre(area) or GeoPoint.at((0.0, 0.0)))
+    zones_au = [frame.ned_to_au(zone.corners_ned_m) for zone in field.no_fly]
+    try:
+        arena = Arena.polygon(
+            frame.ned_to_au(field.border_ned_m),
+            zones_au,
+            margin_au=flight.clearance_m / area.side_m,
+        )
+    except ValueError as exc:
+        raise MissionFileError(
+            f"nothing is left to fly in: the drone keeps {flight.clearance_m:.0f} m from the border"
+            " and from no-fly zones, since it cuts corners at cruise speed; fly slower, or enlarge"
+            " the field"
+        ) from exc
+    if arena.cut_off > _MOST_CUT_OFF:
+        raise MissionFileError(
+            f"{arena.cut_off:.0%} of where it may fly cannot be reached from the rest by a drone"
+            f" that keeps {flight.clearance_m:.0f} m from the border and from no-fly zones; fly"
+            " slower, widen the way there, or make it a field of its own"
+        )
+    return arena
+
+
+def lay_frame(
+    mission: Mission, centre_ned_m: tuple[float, float], ground_down_m: float
+) -> AreaFrame:
+    """Lay the area over the ground: see `AreaFrame`. Raises MissionFileError."""
+    return replace(_frame(mission, centre_ned_m, ground_down_m), arena=mission_arena(mission))
+
+
+def _frame(mission: Mission, centre_ned_m: tuple[float, float], ground_down_m: float) -> AreaFrame:
+    return AreaFrame(
+        centre_ned_m=centre_ned_m,
+        ground_down_m=ground_down_m,
+        side_m=mission.area.side_m,
+        heading_rad=math.radians(mission.area.heading_deg),
+        cruise_speed_m_s=mission.flight.cruise_speed_m_s,
+    )
+
+
+def reach_m(mission: Mission) -> float:
+    """Distance of the area's farthest corner from (0.5, 0.5) au. Raises MissionFileError."""
+    away_au = np.linalg.norm(mission_arena(mission).outline_au - 0.5, axis=-1)
+    return mission.area.side_m * float(away_au.max())
+
+
 def field_problems(mission: Mission) -> Iterator[Problem]:
-    """What is wrong with a field, as far as that can be told before home is known."""
+    """What is wrong with a field."""
     area = mission.area
     try:
-        outline = _outline(area)
+        is_in_degrees = _outline(area) is not None
     except MissionFileError as exc:
         yield ("area", "file"), str(exc)
         return
-    is_in_metres = {outline is None, *(zone.polygon_deg is None for zone in area.no_fly)}
-    if area.latitude_deg is not None and area.longitude_deg is not None:
-        origin = GeoPoint(latitude_deg=area.latitude_deg, longitude_deg=area.longitude_deg)
-    elif len(is_in_metres) > 1:  # how they lie to each other is known once home is
-        return
-    else:
-        origin = GeoPoint.at((0.0, 0.0) if outline is None else outline.border_deg[0])
-    frame = AreaFrame(
-        centre_ned_m=(0.0, 0.0),
-        ground_down_m=0.0,
-        side_m=area.side_m,
-        heading_rad=math.radians(area.heading_deg),
-        cruise_speed_m_s=mission.flight.cruise_speed_m_s,
-    )
+    if area.latitude_deg is None:
+        for number, zone in enumerate(area.no_fly):
+            if (zone.polygon_deg is not None) != is_in_degrees:
+                yield (
+                    ("area", "no_fly", number),
+                    "in metres of home, or in degrees, but the field is not: give both alike, or "
+                    "area.latitude_deg and longitude_deg, from which metres then count",
+                )
+                return
     try:
-        lay_field(area, frame, origin)
+        mission_arena(mission)
     except MissionFileError as exc:
         yield ("area", area.border_key or "no_fly"), str(exc)
 

@@ -34,6 +34,8 @@ from dronemon.types import APPEARANCES, GRAVITY_M_S2
 
 Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
 _TURN_S = 4.0
+_BLOWN_OFF_M, _BLOWN_OFF_S = 1.0, 0.3
+"""How far off its path a drone is in wind, at rest and for each metre per second."""
 GIMBAL_ERROR_DEG = 5.0
 """How far a gimbal that was told to look down may look off."""
 
@@ -79,6 +81,16 @@ class Flight(Section):
     def turn_acceleration_m_s2(self) -> float:
         """What guidance asks for in turns: a fast drone would else leave its legs by too much."""
         return max(self.max_acceleration_m_s2, self.cruise_speed_m_s / _TURN_S)
+
+    @property
+    def turn_window_m(self) -> float:
+        """How long before and after a corner the drone turns, see `dronemon.guidance`."""
+        return 0.5 * self.cruise_speed_m_s**2 / self.turn_acceleration_m_s2
+
+    @property
+    def clearance_m(self) -> float:
+        """How far from its legs the drone may come: it cuts corners, and is blown off a little."""
+        return 0.5 * self.turn_window_m + _BLOWN_OFF_M + _BLOWN_OFF_S * self.cruise_speed_m_s
 
     @property
     def bank_rad(self) -> float:

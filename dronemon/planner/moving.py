@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dronemon.arena import CLEAR_AU, Arena, Region
+from dronemon.arena import Arena, Region
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.roadmap import Roadmap
 from dronemon.types import FloatArray, IntArray
@@ -110,8 +110,7 @@ class Ground(NamedTuple):
     @classmethod
     def of(cls, arena: Arena, roadmap: Roadmap | None = None) -> Ground:
         """Free flight in an arena, or over a roadmap."""
-        # Goals keep off the edges a little: between two on one edge a way might be across it.
-        walls = Walls.of(arena, arena.free.shrunk(CLEAR_AU / 2.0) or arena.free)
+        walls = Walls.of(arena, arena.goals)
         turns = Turns.of(arena)
         if roadmap is None:
             none = np.empty((0, 0), dtype=np.int64)

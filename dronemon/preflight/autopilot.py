@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from enum import Enum
 
-from dronemon.mission import Mission
+from dronemon.mission import Mission, reach_m
 from dronemon.mission.checks import battery_problem, outbound_min, return_min, usable_min
 from dronemon.preflight.findings import Facts, Judgement, go, no, warn
 
@@ -218,12 +218,12 @@ def on_own_fence(facts: Facts, mission: Mission) -> Judgement:
 def on_fence_size(facts: Facts, mission: Mission) -> Judgement:
     """Whether the patrol is within the fence around home."""
     p = facts.parameters
-    reach_m = facts.away_m + mission.area.side_m / math.sqrt(2.0)
+    farthest_m = facts.away_m + reach_m(mission)
     height_m = mission.flight.altitude_m
     problems, mends = [], {}
-    if 0.0 < p["GF_MAX_HOR_DIST"] <= reach_m:
-        problems.append(f"the farthest corner is {reach_m:.0f} m from home")
-        mends["GF_MAX_HOR_DIST"] = math.ceil(_FENCE_ROOM * reach_m)
+    if 0.0 < p["GF_MAX_HOR_DIST"] <= farthest_m:
+        problems.append(f"the farthest corner is {farthest_m:.0f} m from home")
+        mends["GF_MAX_HOR_DIST"] = math.ceil(_FENCE_ROOM * farthest_m)
     if 0.0 < p["GF_MAX_VER_DIST"] <= height_m:
         problems.append(f"the patrol is at {height_m:g} m")
         mends["GF_MAX_VER_DIST"] = math.ceil(_FENCE_ROOM * height_m)

@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D, Transform
 
-from dronemon.arena import ARENA
 from dronemon.palette import on_paper, round_length_m
 from dronemon.problem import LOST_STD
 from dronemon.report.flight import RECENTLY_S, Flight
@@ -28,7 +27,7 @@ def draw_map(flight: Flight) -> Figure:
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     panel = figure.add_subplot()
     _draw_beliefs(panel, flight)
-    border = _to_map(flight, ARENA.outline_au)
+    border = _to_map(flight, flight.frame.arena.outline_au)
     panel.plot(*border.T, color="0.3", linewidth=1.2)
     way = _to_map(flight, flight.agent_au)
     panel.plot(*way.T, color="0.35", linewidth=0.6, label="the drone's way")
@@ -73,7 +72,7 @@ def _draw_beliefs(panel: Axes, flight: Flight) -> None:
     layers = [_layer((0.45, 0.48, 0.52), 0.55 * fog)]
     for number, mean in enumerate(flight.mean):
         layers.append(_layer(on_paper(number), 0.85 * np.clip(mean, 0.0, 1.0)))
-    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
+    (left, bottom), (right, top) = flight.frame.arena.bounds
     for layer in layers:
         panel.imshow(
             layer,

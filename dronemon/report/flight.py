@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from dronemon.arena import ARENA
+from dronemon.arena import Arena
 from dronemon.belief import Belief
 from dronemon.errors import RecordError
 from dronemon.export.story import Story, coarse, read_story, redacted
 from dronemon.frames import AreaFrame, GeoPoint
-from dronemon.mission import Mission
+from dronemon.mission import Mission, mission_arena
 from dronemon.recorder import RunFolder
 from dronemon.runner.history import Laid, recorded, understanding
 from dronemon.runner.preparation import make_belief
@@ -115,8 +115,8 @@ def read_flight(folder: RunFolder, cell_m: float = 0.0) -> Flight:
             decisions=np.array(
                 [(d["time_au"] * seconds, d["decision_ms"]) for d in folder.decisions()]
             ).reshape(-1, 2),
-            mean=_on_grid(belief)[0],
-            unseen_for_s=_unseen_for_au(measurements) * seconds,
+            mean=_on_grid(belief, laid.frame.arena)[0],
+            unseen_for_s=_unseen_for_au(measurements, laid.frame.arena) * seconds,
             watched=[
                 watch(sightings, number, seconds, place_of)
                 for number in range(len(mission.targets))
@@ -134,7 +134,7 @@ def beliefs_at(folder: RunFolder, mission: Mission, count: int) -> tuple[FloatAr
         sightings, measurements = recorded(folder, mission)
     for measurement in measurements[:count]:
         sightings.add(measurement)
-    return _on_grid(make_belief(mission, sightings))
+    return _on_grid(make_belief(mission, sightings), mission_arena(mission))
 
 
 def _numbers(lines: Sequence[Mapping[str, Any]], key: str) -> FloatArray:
@@ -150,9 +150,9 @@ def _std_where_seen(belief: Belief) -> FloatArray:
     return at_last
 
 
-def _on_grid(belief: Belief) -> tuple[FloatArray, FloatArray]:
+def _on_grid(belief: Belief, arena: Arena) -> tuple[FloatArray, FloatArray]:
     """(N, G, G) expected presence and its standard deviation now; rows are y."""
-    grid_au = ARENA.grid(GRID_SIZE)
+    grid_au = arena.grid(GRID_SIZE)
     time_au = np.full((len(grid_au), 1), belief.sightings.time_au)
     mean, std = (
         values.reshape(-1, GRID_SIZE, GRID_SIZE).swapaxes(1, 2)
@@ -161,9 +161,9 @@ def _on_grid(belief: Belief) -> tuple[FloatArray, FloatArray]:
     return mean, std
 
 
-def _unseen_for_au(measurements: Sequence[Measurement]) -> FloatArray:
+def _unseen_for_au(measurements: Sequence[Measurement], arena: Arena) -> FloatArray:
     """(G, G) time at the end since the footprint lay over each place; rows are y."""
-    grid_au = ARENA.grid(GRID_SIZE)
+    grid_au = arena.grid(GRID_SIZE)
     looked_at_au = np.full(len(grid_au), -np.inf)
     for look in measurements:
         looked_at_au[np.hypot(*(grid_au - look.agent_au).T) < look.view_au] = look.time_au

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.patches import Circle
 
-from dronemon.arena import ARENA
+from dronemon.arena import Arena
 from dronemon.errors import OptionError, writing
 from dronemon.flight_options import RunArgument
 from dronemon.palette import belief_rgb, on_paper
@@ -62,19 +62,21 @@ def _truth_au(folder: RunFolder) -> FloatArray | None:
 def draw(folder: RunFolder, flight: Flight, count: int) -> Figure:
     """The moment of the `count`-th picture. Source of the arrangement: paper, Figures 1 and 6."""
     mean, std = beliefs_at(folder, flight.mission, count)
-    truth_au = _truth_au(folder)
+    truth_au, arena = _truth_au(folder), flight.frame.arena
     columns = max(4, len(flight.names))
     figure = Figure(figsize=(2.6 * columns, 5.6), layout="constrained")
     grid = figure.add_gridspec(2, 4 * columns)
     for number, name in enumerate(flight.names):
         panel = figure.add_subplot(grid[0, 4 * number : 4 * number + 4])
-        _show(panel, mean[number], f"belief of {name}")
+        _show(panel, arena, mean[number], f"belief of {name}")
     together, truth, camera, far = (
         figure.add_subplot(grid[1, k * columns : (k + 1) * columns]) for k in range(4)
     )
-    _show(together, belief_rgb(mean, std), "all beliefs, and the way flown")
+    _show(together, arena, belief_rgb(mean, std), "all beliefs, and the way flown")
     _draw_way(together, flight, count)
-    _frame(truth, "where the targets truly are" + (": not known" if truth_au is None else ""))
+    _frame(
+        truth, arena, "where the targets truly are" + (": not known" if truth_au is None else "")
+    )
     if truth_au is not None:
         _draw_areas(truth, truth_au[count - 1])
     recordings = [folder.path / name for name in folder.recordings()]
@@ -150,8 +152,8 @@ def _ring(panel: Axes, centre_au: FloatArray, **style: Any) -> None:
     panel.add_patch(Circle((x_au, y_au), SENSOR_RADIUS_AU, fill=False, **style))
 
 
-def _show(panel: Axes, values: FloatArray | ImageArray, title: str) -> None:
-    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
+def _show(panel: Axes, arena: Arena, values: FloatArray | ImageArray, title: str) -> None:
+    (left, bottom), (right, top) = arena.bounds
     panel.imshow(
         values,
         extent=(left, right, bottom, top),
@@ -161,11 +163,12 @@ def _show(panel: Axes, values: FloatArray | ImageArray, title: str) -> None:
         vmax=1.0,
         interpolation="bilinear",
     )
-    _frame(panel, title)
+    _frame(panel, arena, title)
 
 
-def _frame(panel: Axes, title: str) -> None:
-    (left, bottom), (right, top) = ARENA.low_au, ARENA.high_au
+def _frame(panel: Axes, arena: Arena, title: str) -> None:
+    (left, bottom), (right, top) = arena.bounds
+    panel.plot(*arena.outline_au.T, color="0.6", linewidth=0.8)
     panel.set_xlim(left, right)
     panel.set_ylim(bottom, top)
     panel.set_aspect("equal")

@@ -7,7 +7,6 @@ from dataclasses import asdict
 
 import numpy as np
 
-from dronemon.arena import ARENA
 from dronemon.errors import MissionFileError, VehicleError
 from dronemon.events import AreaLaid, EventStream
 from dronemon.fence import Fence
@@ -38,7 +37,7 @@ def surface_of(mission: Mission, frame: AreaFrame, home: GeoPoint, origin: GeoPo
     grid, home_ned_m = read_heights(mission.area.terrain), geo_to_ned(home, origin)[:2]
     terrain = Terrain(grid, origin, home_ned_m, frame.ground_down_m)
     num_looks = min(math.ceil(frame.side_m / grid.cell_m) + 2, _MOST_LOOKS)
-    down_m = terrain.down_m(frame.au_to_ned(ARENA.grid(num_looks)))
+    down_m = terrain.down_m(frame.au_to_ned(frame.arena.grid(num_looks)))
     if np.isnan(down_m).any():
         raise MissionFileError(
             f"{mission.area.terrain}: has no heights of all the area and of the take-off place,"

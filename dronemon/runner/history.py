@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dronemon.arena import Arena
 from dronemon.clock import machine_time
 from dronemon.errors import RecordError
 from dronemon.events import Stretch
@@ -52,7 +53,13 @@ class Laid:
         """What the line of a vehicle that is ready says."""
         frame = event["frame"]
         return cls(
-            frame=AreaFrame(**{**frame, "centre_ned_m": tuple(frame["centre_ned_m"])}),
+            frame=AreaFrame(
+                **{
+                    **frame,
+                    "centre_ned_m": tuple(frame["centre_ned_m"]),
+                    "arena": Arena.told(frame.get("arena", {})),  # runs of before have none
+                }
+            ),
             origin=GeoPoint(**event["origin"]),
             fence_ned_m=np.array(event["fence_ned_m"], dtype=np.float64),
         )

@@ -15,7 +15,7 @@ from dronemon.errors import CameraError, DronemonError, LinkLost, VehicleError
 from dronemon.fence import Fence
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import Reason
-from dronemon.mission import Mission
+from dronemon.mission import Mission, field_centre, lay_frame
 from dronemon.preflight import (
     PARAMETERS,
     Facts,
@@ -75,21 +75,12 @@ async def look(setup: FlightSetup) -> Sight:
 
 
 def lay_area(mission: Mission, home: GeoPoint, origin: GeoPoint, ground_down_m: float) -> AreaFrame:
-    """Lay the square over the ground, where the mission says, or else around home.
+    """Lay the area over the ground, where the mission says, or else around home.
 
     origin: of the local frame
     """
-    area, centre = mission.area, home
-    if area.latitude_deg is not None and area.longitude_deg is not None:
-        centre = GeoPoint(latitude_deg=area.latitude_deg, longitude_deg=area.longitude_deg)
-    north_m, east_m, _ = geo_to_ned(centre, origin)
-    return AreaFrame(
-        centre_ned_m=(float(north_m), float(east_m)),
-        ground_down_m=ground_down_m,
-        side_m=area.side_m,
-        heading_rad=math.radians(area.heading_deg),
-        cruise_speed_m_s=mission.flight.cruise_speed_m_s,
-    )
+    north_m, east_m, _ = geo_to_ned(field_centre(mission.area) or home, origin)
+    return lay_frame(mission, (float(north_m), float(east_m)), ground_down_m)
 
 
 def fence_around(

@@ -14,7 +14,6 @@ import time
 from collections.abc import Mapping
 from functools import partial
 
-from dronemon.arena import ARENA
 from dronemon.errors import PlannerError, VehicleError
 from dronemon.events import Attended, Decided, EventStream, Moved
 from dronemon.fence import Fence
@@ -161,6 +160,7 @@ class Patrol:
             speed_m_s=flight.cruise_speed_m_s,
             max_speed_m_s=flight.speed_limit_m_s,
             max_acceleration_m_s2=flight.turn_acceleration_m_s2,
+            window_m=flight.turn_window_m,
             ground_speed_m_s=pose.ground_speed_m_s,
         )
         self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
@@ -354,10 +354,10 @@ class Patrol:
         """
         planner = self._setup.planner
         waypoint = planner.next_waypoint(snapshot)
-        if flaw := waypoint_flaw(waypoint, self._waypoint_au, ARENA):
+        if flaw := waypoint_flaw(waypoint, self._waypoint_au, self._frame.arena):
             raise PlannerError(f"planner '{planner.name}' gave {flaw}")
         details = {str(name): json_value(value) for name, value in waypoint.details.items()}
-        position_au = ARENA.clip(waypoint.position_au)
+        position_au = self._frame.arena.clip_free(waypoint.position_au)
         waypoint = Waypoint(position_au=position_au, node=waypoint.node, details=details)
         return waypoint, _weights(planner)
 

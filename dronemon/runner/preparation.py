@@ -15,13 +15,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from dronemon.arena import ARENA
 from dronemon.belief import Belief, Matern32
 from dronemon.belief.compiled import is_ready as belief_is_compiled
 from dronemon.camera import FrameSource
 from dronemon.errors import CameraError, DronemonError, PlannerError, blaming
 from dronemon.events import Audience, Subscriber
-from dronemon.mission import Mission, MissionFile
+from dronemon.mission import Mission, MissionFile, mission_arena
 from dronemon.planner import Briefing, Explaining, Planner, Snapshot
 from dronemon.roadmap import Roadmap
 from dronemon.runner.daemon import in_daemon_thread
@@ -121,7 +120,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         try_detector(mission, detector)
         with blaming(who, PlannerError):
             planner.reset(brief(mission, priors_au, start_au, stream="rehearsal"), roadmap)
-    grid_au = ARENA.grid(2)
+    grid_au = mission_arena(mission).grid(2)
     belief.posterior(np.concatenate([grid_au, np.full((len(grid_au), 1), 0.1)], axis=-1))
     snapshot = Snapshot(
         time_au=0.1,
@@ -183,17 +182,18 @@ def _belief_compiled_beside() -> Iterator[None]:
 
 def draw_start_and_roadmap(mission: Mission) -> tuple[FloatArray, Roadmap]:
     """Where the patrol begins, (2,) au, and the roadmap that contains this place."""
-    seed = mission.simulation.seed
+    seed, arena = mission.simulation.seed, mission_arena(mission)
     start_au = (
         np.array(mission.flight.start_au)
         if mission.flight.start_au is not None
-        else Instance.draw(seed, len(mission.targets)).start_au
+        else Instance.draw(seed, len(mission.targets), arena=arena).start_au
     )
     roadmap = Roadmap.random(
         mission.roadmap.num_nodes,
         mission.roadmap.num_neighbours,
         named_stream(seed, "roadmap"),
         start_au,
+        arena,
     )
     return start_au, roadmap
 
@@ -227,6 +227,7 @@ def brief(
         start_au=start_au.copy(),
         horizon_au=mission.horizon_au,
         rng=named_stream(mission.simulation.seed, stream),
+        arena=mission_arena(mission),
         sensor=mission.sensor.model,
         sightings=sightings,
     )

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.belief.grid import evaluation_grid
 from dronemon.belief.metrics import area_std, jensen_shannon
 from dronemon.events import TruthTold
 from dronemon.frames import GeoPoint
-from dronemon.mission import Mission
+from dronemon.mission import Mission, mission_arena
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.runner.flight import FlightResult
 from dronemon.runner.identity import identify
@@ -165,7 +164,7 @@ def _score(tally: Tally, truth: Sequence[TruthTold], mission: Mission) -> Score:
     true_au = true_au[:, identities.targets]
     replayed = Sightings(sightings.priors_au)
     belief = Belief(replayed, mission_kernel(mission))
-    grid = evaluation_grid(ARENA)
+    grid = evaluation_grid(mission_arena(mission))
     unc, jsd = [], []
     for measurement, positions in zip(sightings.since(0), true_au, strict=True):
         replayed.add(measurement)

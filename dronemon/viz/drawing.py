@@ -10,7 +10,6 @@ from collections import deque
 import numpy as np
 import rerun as rr
 
-from dronemon.arena import ARENA
 from dronemon.events import (
     AreaLaid,
     Attended,
@@ -123,7 +122,7 @@ class Drawing:
         """Keep the area; draw border, fence, roadmap, and the vehicle that is moved over them."""
         log, area = self._rec.log, event.area
         self._area, self._radius_m = area, event.footprint_radius_m
-        border = au_to_map(ARENA.outline_au, area)
+        border = au_to_map(area.arena.outline_au, area)
         log("map/area", lines([border], GREY, 1.0, order=5), static=True)
         fence = ned_to_map(np.concatenate([event.fence_ned_m, event.fence_ned_m[:1]]), area)
         log("map/fence", lines([fence], BLUE, 1.0, order=5), static=True)
@@ -138,7 +137,7 @@ class Drawing:
         log("map/roadmap/nodes", dots(nodes, DARK, 1.5, order=10), static=True)
         self._nodes_au = event.nodes_au
         self._scene = Scene(self._rec, event, self._camera, self._names)
-        half_m = shown_half_m(area.side_m, area.heading_rad) + self._margin_m
+        half_m = shown_half_m(area.arena, area.side_m, area.heading_rad) + self._margin_m
         lay_furniture(self._rec, half_m, area.side_m, self._names)
 
     def _move(self, pose: Pose) -> None:
@@ -227,7 +226,7 @@ class Drawing:
         """Show the posteriors of all targets together and one by one."""
         log = self._rec.log
         self._set_time(event.time_s)
-        grid_au = belief_grid_au()
+        grid_au = belief_grid_au(area.arena)
         num_points = len(grid_au)
         mean, std, mean_later, std_later = _beliefs_on(grid_au, event)
         if not self._is_grid_laid:
@@ -251,7 +250,9 @@ class Drawing:
                 log(path("map", kind, name), image)
         for number, name in enumerate(self._names):
             if number in self._seen_au:
-                x, y = np.rint(self._seen_au[number] * (num_points - 1)).astype(int)
+                low_au, extent_au = area.arena.bounds[0], area.arena.extent_au
+                share = (self._seen_au[number] - low_au) / extent_au
+                x, y = np.rint(share * (num_points - 1)).astype(int)
                 log(path("plots", "std", name), rr.Scalars(std[number, y, x]))
 
     def _waypoint(self, event: Decided) -> None:

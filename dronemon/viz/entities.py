@@ -29,8 +29,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from dronemon.arena import Arena
 from dronemon.frames import AreaFrame
-from dronemon.mission import Mission
+from dronemon.mission import Mission, mission_arena
 from dronemon.palette import Rgb
 from dronemon.types import FloatArray
 
@@ -119,10 +120,9 @@ def rings(centres: Any, radius_m: float, rgb: Rgb, width: float, *, order: float
     )
 
 
-def belief_grid_au(num_points: int = 40) -> FloatArray:
-    """Query points of belief images: [j, k] is (k, j) / (G - 1). -> (G, G, 2) au."""
-    axis = np.linspace(0.0, 1.0, num_points)
-    return np.stack(np.meshgrid(axis, axis, indexing="xy"), axis=-1)
+def belief_grid_au(arena: Arena, num_points: int = 40) -> FloatArray:
+    """Query points of belief images, over the arena's box; rows are y. -> (G, G, 2) au."""
+    return np.stack(np.meshgrid(*arena.axes(num_points), indexing="xy"), axis=-1)
 
 
 def ned_to_map(position_ned_m: FloatArray, area: AreaFrame) -> FloatArray:
@@ -138,8 +138,8 @@ def au_to_map(position_au: FloatArray, area: AreaFrame) -> FloatArray:
 
 def grid_transform(area: AreaFrame, num_points: int) -> rr.Transform3D:
     """Lay a belief image on the map: the centres of its pixels are the points of its grid."""
-    pixel_au = 1.0 / (num_points - 1)
-    corners_au = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) * pixel_au - pixel_au / 2.0
+    pixel_au = area.arena.extent_au / (num_points - 1)
+    corners_au = area.arena.bounds[0] + (np.array([[0, 0], [1, 0], [0, 1]]) - 0.5) * pixel_au
     origin, right, down = au_to_map(corners_au, area)
     matrix = np.eye(3)
     matrix[:2, 0] = right - origin
@@ -147,9 +147,10 @@ def grid_transform(area: AreaFrame, num_points: int) -> rr.Transform3D:
     return rr.Transform3D(translation=[*origin, 0.0], mat3x3=matrix)
 
 
-def shown_half_m(side_m: float, heading_rad: float) -> float:
-    """Half the width of what a map of the area shows, the area being turned."""
-    return side_m * (abs(math.cos(heading_rad)) + abs(math.sin(heading_rad))) / 2.0 * 1.06
+def shown_half_m(arena: Arena, side_m: float, heading_rad: float) -> float:
+    """Half the width of what a map of the area shows, the area being turned about its centre."""
+    reach_m = 2.0 * side_m * float(np.abs(arena.bounds - 0.5).max())
+    return reach_m * (abs(math.cos(heading_rad)) + abs(math.sin(heading_rad))) / 2.0 * 1.06
 
 
 def blueprint(mission: Mission, legend_m: float) -> rrb.Blueprint:
@@ -158,7 +159,7 @@ def blueprint(mission: Mission, legend_m: float) -> rrb.Blueprint:
     legend_m: more left of the map than round it
     """
     area = mission.area
-    half_m = shown_half_m(area.side_m, math.radians(area.heading_deg))
+    half_m = shown_half_m(mission_arena(mission), area.side_m, math.radians(area.heading_deg))
     bounds = _bounds(half_m + mission.flight.fence_margin_m, legend_m)
     maps = rrb.Tabs(
         _map_view("Map", bounds, hidden=(*KINDS, "truth", "roadmap")),

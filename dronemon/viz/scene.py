@@ -14,7 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from dronemon.arena import ARENA
 from dronemon.events import AreaLaid
 from dronemon.frames import body_to_ned, ned_to_geo
 from dronemon.palette import target_rgb
@@ -38,7 +37,7 @@ class Scene:
         self._rec, self._laid, self._names = rec, laid, names
         side_m = laid.area.side_m
         arm_m = _ARM_SHARE * side_m
-        corners = self._ground_points(ARENA.outline_au)
+        corners = self._ground_points(laid.area.arena.outline_au)
         rec.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         rec.log("scene/area", rr.LineStrips3D([corners], colors=GREY), static=True)
         box = rr.Boxes3D(half_sizes=[[arm_m, arm_m, 0.3 * arm_m]], colors=WHITE)
@@ -50,7 +49,7 @@ class Scene:
             image_plane_distance=0.1 * side_m,
         )
         rec.log(CAMERA, lens, rr.Transform3D(mat3x3=_CAMERA_TO_BODY), static=True)
-        border = [self._ground_lat_lon(corner_au) for corner_au in ARENA.outline_au]
+        border = [self._ground_lat_lon(corner_au) for corner_au in laid.area.arena.outline_au]
         rec.log("world/area", rr.GeoLineStrings(lat_lon=[border], colors=BLUE), static=True)
 
     def move(self, pose: Pose) -> list[float]:
@@ -81,7 +80,7 @@ class Scene:
         self._rec.log(
             "scene/ground",
             rr.Mesh3D(
-                vertex_positions=self._ground_points(ARENA.outline_au[:4]),
+                vertex_positions=self._ground_points(self._laid.area.arena.box_au),
                 triangle_indices=[[0, 1, 2], [0, 2, 3]],
                 vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
                 albedo_texture=rgb,

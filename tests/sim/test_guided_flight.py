@@ -91,11 +91,13 @@ def set_out(speed_m_s: float, wind_m_s: float) -> tuple[Autopilot, Carrot]:
     assert vehicle.request_mode(Px4Mode.OFFBOARD)
     vehicle.step()
     north_m, east_m, _ = vehicle.estimate.position
+    acceleration_m_s2 = max(2.0, speed_m_s / 4.0)
     carrot = Carrot(
         (north_m, east_m),
         speed_m_s=speed_m_s,
         max_speed_m_s=1.1 * speed_m_s,
-        max_acceleration_m_s2=max(2.0, speed_m_s / 4.0),
+        max_acceleration_m_s2=acceleration_m_s2,
+        window_m=0.5 * speed_m_s**2 / acceleration_m_s2,
     )
     return vehicle, carrot
 
