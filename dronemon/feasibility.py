@@ -214,10 +214,7 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the camera sees the whole footprint from the patrol's height, and targets in it."""
     needed_px = needed_px_per_m(mission)
     highest_m = math.inf if needed_px is None else mission.camera.model.focal_px / needed_px
-    altitude_m, radius_m = mission.flight.altitude_m, mission.area.sensor_radius_m
-    key, size_m = (
-        ("side_m", mission.area.side_m) if radius_m is None else ("sensor_radius_m", radius_m)
-    )
+    (key, size_m), altitude_m = mission.area.size, mission.flight.altitude_m
     needed_m, tilt_deg = needed_altitude_m(mission), math.degrees(tilt_rad(mission))
     tilt = f"while it banks {tilt_deg:.1f} degrees to accelerate"
     or_lower = f", or lower {mission.flight.what_banks}"

@@ -11,10 +11,8 @@ from dronemon.mission.section import Section
 from dronemon.outline import ring_in_degrees, ring_in_metres
 from dronemon.problem import SENSOR_RADIUS_AU
 
-_Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
-_Longitude = Annotated[float, Field(ge=-360.0, le=360.0)]
 _Metres = Annotated[float, Field(ge=-100_000.0, le=100_000.0)]
-_LatLon = Annotated[tuple[_Latitude, _Longitude], Field(strict=False)]
+_LatLon = Annotated[tuple[float, float], Field(strict=False)]
 _EastNorth = Annotated[tuple[_Metres, _Metres], Field(strict=False)]
 PolygonDeg = Annotated[tuple[_LatLon, ...], Field(strict=False), AfterValidator(ring_in_degrees)]
 PolygonM = Annotated[tuple[_EastNorth, ...], Field(strict=False), AfterValidator(ring_in_metres)]
@@ -72,6 +70,13 @@ class Area(Section):
     """Longitude of the centre, from which metres count; home if absent."""
     terrain: str | None = None
     """Heights of the ground, an ESRI ASCII grid in WGS 84 degrees (.asc); flat if absent."""
+
+    @property
+    def size(self) -> tuple[str, float]:
+        """The key that says how large an au is, and its value."""
+        if self.sensor_radius_m is not None:
+            return "sensor_radius_m", self.sensor_radius_m
+        return "side_m", self.side_m
 
     @property
     def border_key(self) -> str | None:

@@ -89,8 +89,8 @@ def test_a_mission_that_was_written_with_its_defaults_is_the_same(load, area: st
         (f"polygon_m: {BOW_TIE}, {RADIUS}", "area.polygon_m", "crosses or touches itself"),
         (
             f"polygon_deg: [[0, 0], [99, 0], [0, 1]], {RADIUS}",
-            "area.polygon_deg[1][0]",
-            "less than or equal to 90",
+            "area.polygon_deg",
+            "corner 2: latitude 99 is beyond 90 degrees; are latitude and longitude swapped?",
         ),
         (
             f"polygon_deg: [[0, 0], [60, 60], [60, 0]], {RADIUS}",
@@ -107,6 +107,11 @@ def test_a_mission_that_was_written_with_its_defaults_is_the_same(load, area: st
             f"no_fly: [{{name: hut, polygon_m: {BOW_TIE}}}]",
             "area.no_fly[0].polygon_m",
             "crosses or touches itself",
+        ),
+        (
+            "no_fly: [{name: hut, polygon_m: [[0, 0], 7]}]",
+            "area.no_fly[0].polygon_m[1]",
+            "7 cannot be this: Its corners in order",
         ),
         (f"no_fly: [{{polygon_m: {SQUARE_M}}}]", "area.no_fly[0].name", "is missing"),
         (f"no_fly: [{{name: a, polygon: {SQUARE_M}}}]", "area.no_fly[0].polygon", "did you mean"),
