@@ -9,7 +9,7 @@ from itertools import groupby
 
 from dronemon.card import find_checkpoint, read_card
 from dronemon.errors import CameraError, MissionFileError, OptionError, PolicyError
-from dronemon.mission import Mission, MissionFile, find_mission, load_mission
+from dronemon.mission import Mission, MissionFile, find_mission, load_mission, mission_arena
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
 from dronemon.mission.document import Overrides, Problem
@@ -33,7 +33,6 @@ def load_checked(name: str, overrides: Overrides, follow: str | None) -> Mission
 
     def problems(mission: Mission) -> Iterator[Problem]:
         yield from _simulator_problems(mission, follow)
-        yield from _shape_problems(mission)
         yield from _sight_problems(mission)
         yield from _planner_problems(mission)
         yield from _lens_problems(mission)
@@ -116,13 +115,27 @@ def needed_altitude_m(mission: Mission) -> float:
     return mission.sensor_radius_m / math.tan(half_angle_rad - off_rad)
 
 
+def _area_fact(m: Mission) -> str:
+    arena, au_m = mission_arena(m), m.area.side_m
+    turned = f"heading {m.area.heading_deg:g} degrees"
+    if arena.is_rectangle:
+        return f"{au_m:g} m side, {turned}"
+    width_m, height_m = au_m * arena.extent_au
+    return (
+        f"{1e-4 * au_m**2 * arena.field.area_au2:.1f} ha in {width_m:.0f} m by {height_m:.0f} m,"
+        f" {turned}; {len(arena.no_fly_au)} no-fly zones. The drone keeps"
+        f" {m.flight.clearance_m:.0f} m from them and the border:"
+        f" {arena.free.area_au2 / arena.field.area_au2:.0%} is left to fly in"
+    )
+
+
 def flight_facts(m: Mission) -> dict[str, str]:
     """What would be flown, in words."""
     # Mean distance to one of the k nearest of V random places.
     leg_au = 2.0 / 3.0 * math.sqrt(m.roadmap.num_neighbours / (math.pi * m.roadmap.num_nodes))
     return {
         "targets": ", ".join(_targets_fact(m)),
-        "area": f"{m.area.side_m:g} m side, heading {m.area.heading_deg:g} degrees",
+        "area": _area_fact(m),
         "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
         f"{m.sensor_radius_m:g} m needs {needed_altitude_m(m):.1f} m, "
         f"{'its gimbal off by' if m.camera.gimbal else 'banked'} "
@@ -199,15 +212,6 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
                 ("targets", target.entry, "prior_au"),
                 "is `simulated`, but there is no simulator; give [x, y] or leave it out",
             )
-
-
-def _shape_problems(mission: Mission) -> Iterator[Problem]:
-    """Whether what flies can take the field's shape."""
-    if not mission.area.is_square:
-        yield (
-            ("area", mission.area.border_key or "no_fly"),
-            "fields that are no squares cannot be flown yet",
-        )
 
 
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
@@ -312,6 +316,11 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
 def _planner_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the planner can be made; ours, which are slow to import, can if their weights can."""
     of = mission.planner
+    if has_weights(of.kind) and not mission.area.is_square:
+        yield (
+            ("planner", "kind"),
+            f"{of.kind!r} learned on a square, and cannot fly another field; take search",
+        )
     is_plain = of.checkpoint is None and of.history is None and of.kind in planner_names()
     try:
         if has_weights(of.kind):

@@ -12,7 +12,7 @@ from dronemon.mission.addresses import is_video_file
 from dronemon.mission.detector import KEYS_OF_KIND, DetectorSection
 from dronemon.mission.document import Problem
 from dronemon.mission.faults import parse_fault
-from dronemon.mission.field import field_problems, reach_m
+from dronemon.mission.field import field_problems, place_problems, reach_m
 from dronemon.mission.schema import Mission
 from dronemon.types import APPEARANCES
 
@@ -25,7 +25,8 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
     """Each key at fault, and what is wrong."""
     yield from _twins(mission)
     yield from _detector_problems(mission)
-    yield from field_problems(mission)
+    flawed = [*field_problems(mission)]
+    yield from flawed or place_problems(mission)
     flight = mission.flight
     if flight.speed_limit_m_s < flight.cruise_speed_m_s:
         yield (
@@ -33,7 +34,7 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
             f"{flight.speed_limit_m_s:g} is less than cruise_speed_m_s, "
             f"{flight.cruise_speed_m_s:g}; raise it, or leave it out for cruise and 10 %",
         )
-    if problem := battery_problem(mission):
+    if not flawed and (problem := battery_problem(mission)):
         horizon = "horizon_min" if flight.horizon_min is not None else "horizon_au"
         yield ("flight", horizon if flight.relay is None else "endurance_min"), problem
     is_swapped = any(parse_fault(fault).kind == "swap" for fault in mission.simulation.faults)

@@ -65,6 +65,13 @@ def field_centre(area: Area) -> GeoPoint | None:
     return GeoPoint.at((border_deg.min(axis=0) + border_deg.max(axis=0)) / 2.0)
 
 
+def check_near(area: Area, home: GeoPoint) -> None:
+    """Refuse a field that is far from home. Raises MissionFileError."""
+    outline = _outline(area)
+    if outline is not None and area.latitude_deg is None:
+        _refuse_far(area, "the field", outline.border_deg, home)
+
+
 def mission_arena(mission: Mission) -> Arena:
     """The mission's area in au, the same wherever home is. Raises MissionFileError."""
     area, flight = mission.area, mission.flight
@@ -138,6 +145,24 @@ def field_problems(mission: Mission) -> Iterator[Problem]:
         mission_arena(mission)
     except MissionFileError as exc:
         yield ("area", area.border_key or "no_fly"), str(exc)
+
+
+def place_problems(mission: Mission) -> Iterator[Problem]:
+    """Which of the places that the mission names are not in its area, which has no flaw."""
+    arena, start_au = mission_arena(mission), mission.flight.start_au
+    low, high = arena.bounds.round(3).tolist()
+    if start_au is not None and not arena.segment_is_free(*[np.array(start_au)] * 2):
+        yield (
+            ("flight", "start_au"),
+            f"{list(start_au)} is not where the drone may be, in an area from {low} to {high} au",
+        )
+    for target in mission.targets:
+        place_au = target.prior_au
+        if isinstance(place_au, tuple) and not arena.contains(np.array(place_au)):
+            yield (
+                ("targets", target.entry, "prior_au"),
+                f"{list(place_au)} is not in the area, which is from {low} to {high} au",
+            )
 
 
 def _outline(area: Area) -> Outline | None:

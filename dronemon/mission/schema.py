@@ -32,7 +32,9 @@ from dronemon.sensor import LIMITS
 from dronemon.sensor import Sensor as SensorModel
 from dronemon.types import APPEARANCES, GRAVITY_M_S2
 
-Place = Annotated[tuple[Fraction, Fraction], Field(strict=False)]
+_Coordinate = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+Place = Annotated[tuple[_Coordinate, _Coordinate], Field(strict=False)]
+"""In au; `field.place_problems` sees that it is in the area."""
 _TURN_S = 4.0
 _BLOWN_OFF_M, _BLOWN_OFF_S = 1.0, 0.3
 """How far off its path a drone is in wind, at rest and for each metre per second."""
@@ -60,7 +62,7 @@ class Flight(Section):
     endurance_min: float = Field(30.0, gt=0.0, le=600.0)
     """Flight time of a full battery; the check before take-off uses it."""
     start_au: Place | None = None
-    """Where the patrol starts, [x, y] from 0 to 1; drawn if absent."""
+    """Where the patrol starts, [x, y] from 0 to 1, or in au of a field; drawn if absent."""
     fence_margin_m: float = Field(30.0, ge=10.0, le=1000.0)
     """How far the fence is from the area, home and the way between."""
     relay: Literal["confirmed", "automatic"] | None = None
@@ -171,7 +173,7 @@ class Target(Section):
         None,
         description="Position known before take-off: [x, y] from 0 to 1, or `simulated`, which "
         "takes it from the simulated world; x runs east and y north from the area's south-west "
-        "corner; unknown if absent.",
+        "corner, of a field in au, its box about [0.5, 0.5]; unknown if absent.",
     )
     _entry: int = PrivateAttr(0)
 

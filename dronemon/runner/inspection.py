@@ -15,7 +15,7 @@ from dronemon.errors import CameraError, DronemonError, LinkLost, VehicleError
 from dronemon.fence import Fence
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import Reason
-from dronemon.mission import Mission, field_centre, lay_frame
+from dronemon.mission import Mission, check_near, field_centre, lay_frame
 from dronemon.preflight import (
     PARAMETERS,
     Facts,
@@ -78,7 +78,10 @@ def lay_area(mission: Mission, home: GeoPoint, origin: GeoPoint, ground_down_m: 
     """Lay the area over the ground, where the mission says, or else around home.
 
     origin: of the local frame
+
+    Raises MissionFileError for a field that is far from home.
     """
+    check_near(mission.area, home)
     north_m, east_m, _ = geo_to_ned(field_centre(mission.area) or home, origin)
     return lay_frame(mission, (float(north_m), float(east_m)), ground_down_m)
 

@@ -13,9 +13,10 @@ import shapely
 from dronemon.errors import MissionFileError
 from dronemon.feasibility import load_checked
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
-from dronemon.mission import Mission, MissionFile, load_mission
+from dronemon.mission import Mission, MissionFile, load_mission, mission_arena
 from dronemon.mission.field import lay_field
-from dronemon.outline import Field
+from dronemon.outline import Field, read_outline
+from dronemon.runner.inspection import lay_area
 
 RESERVE = Path(__file__).parents[2] / "missions" / "reserve.geojson"
 HOME = GeoPoint(latitude_deg=47.397742, longitude_deg=8.545594, altitude_m=488.0)
@@ -146,17 +147,66 @@ def test_what_is_wrong_is_told_by_key(load, area: str, key: str, words: str):
 
 
 @pytest.mark.parametrize(
-    ("area", "key"),
+    "area",
     [
-        (f"file: reserve.geojson, {RADIUS}", "file"),
-        (f"polygon_m: {SQUARE_M}, {RADIUS}", "polygon_m"),
-        ("no_fly: [{name: hut, polygon_m: [[0, 0], [9, 0], [9, 9]]}]", "no_fly"),
+        f"file: reserve.geojson, {RADIUS}",
+        f"polygon_m: {SQUARE_M}, {RADIUS}",
+        "no_fly: [{name: hut, polygon_m: [[0, 0], [9, 0], [9, 9]]}]",
     ],
 )
-def test_what_is_no_square_is_not_flown_yet(load, area: str, key: str):
+def test_the_drone_keeps_clear_of_border_and_zones(load, area: str):
+    mission = load(area, _check)
+    arena, au_m = mission_arena(mission), mission.area.side_m
+    places_m = au_m * arena.sample_free(500, np.random.default_rng(0))
+    border = shapely.Polygon(au_m * arena.outline_au).exterior
+    zones = shapely.union_all([shapely.Polygon(au_m * np.array(z)) for z in arena.no_fly_au])
+    away_m = shapely.distance(shapely.GeometryCollection([border, zones]), shapely.points(places_m))
+    assert away_m.min() > mission.flight.clearance_m - 1e-6
+    assert mission.flight.clearance_m == pytest.approx(0.25 * 25.0 / 2.0 + 1.0 + 1.5)
+
+
+def test_an_area_in_au_is_the_same_wherever_home_is(load):
+    """So that start, roadmap and targets drawn in it are, and a run can go on from elsewhere."""
+    mission = load(f"file: reserve.geojson, {RADIUS}")
+    low, high = mission_arena(mission).bounds
+    np.testing.assert_allclose((low + high) / 2.0, 0.5, atol=1e-3)
+    homes = [HOME, GeoPoint(latitude_deg=47.41, longitude_deg=8.53)]
+    for home in homes:
+        frame = lay_area(mission, home, home, 0.0)
+        assert frame.arena == mission_arena(mission)
+        for corner_deg, corner_au in zip(
+            read_outline(str(RESERVE)).border_deg, frame.arena.outline_au, strict=False
+        ):
+            place = frame.au_to_geo(corner_au, home)
+            off_m = geo_to_ned(GeoPoint.at(corner_deg), place)[:2]
+            assert np.hypot(*off_m) < 0.15  # one frame is turned against the other by this little
+
+
+@pytest.mark.parametrize(
+    ("area", "flight", "words"),
+    [
+        ("", "start_au: [2, 0.5]", "flight.start_au: [2.0, 0.5] is not where the drone may be"),
+        ("no_fly: [{name: hut, polygon_m: [[-9, -9], [9, -9], [9, 9], [-9, 9]]}]",
+         "start_au: [0.5, 0.5]", "not where the drone may be"),
+        (f"polygon_m: [[0, 0], [400, 0], [400, 12], [0, 12]], {RADIUS}", "",
+         "area.polygon_m: nothing is left to fly in: the drone keeps 7 m from the border"),
+        (f"polygon_m: [[0, 0], [400, 0], [400, 150], [150, 150], [150, 10], [140, 10], [140, 150],"
+         f" [0, 150]], {RADIUS}", "", "35% of where it may fly cannot be reached"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_to_is_told(tmp_path: Path, area: str, flight: str, words: str):
+    path = tmp_path / "m.yaml"
+    path.write_text(
+        f"area: {{{area}}}\nflight: {{{flight}}}\ntargets: [{{name: a, appearance: cow}}]\n"
+    )
     with pytest.raises(MissionFileError) as caught:
-        load(area, _check)
-    assert str(caught.value).endswith(f"area.{key}: fields that are no squares cannot be flown yet")
+        load_mission(path)
+    assert words in str(caught.value)
+
+
+def test_a_learned_policy_is_for_the_square(load):
+    with pytest.raises(MissionFileError, match="learned on a square, and cannot fly another"):
+        load(f"polygon_m: {SQUARE_M}, {RADIUS}}}\nplanner: {{kind: stamp", _check)
 
 
 def test_a_radius_that_the_camera_cannot_show_is_told_by_its_key(load):
@@ -191,19 +241,17 @@ def test_degrees_metres_and_a_file_lie_in_the_same_place(load):
     in_metres = _lay(load(f"polygon_m: {metres}, {RADIUS}"))
     assert in_metres.border_ned_m == pytest.approx(of_file.border_ned_m, abs=0.01)
     hut = "no_fly: [{name: hut, polygon_m: [[0, 0], [9, 0], [9, 9]]}]"
-    both = _lay(load(f"file: reserve.geojson, {RADIUS}, {hut}"))
+    with pytest.raises(MissionFileError, match="give both alike, or area.latitude_deg"):
+        load(f"file: reserve.geojson, {RADIUS}, {hut}")
+    place = f"latitude_deg: {HOME.latitude_deg}, longitude_deg: {HOME.longitude_deg}"
+    both = _lay(load(f"file: reserve.geojson, {RADIUS}, {hut}, {place}"))
     assert [zone.name for zone in both.no_fly] == ["lake", "farm", "hut"]
     assert not shapely.Polygon(both.no_fly[0].corners_ned_m).contains(shapely.Point(home_m))
 
 
-def test_what_home_alone_can_tell_is_told_when_it_is_known(load):
-    mission = load(f"polygon_deg: {SQUARE_DEG}, {RADIUS}")
-    _lay(mission)
+def test_a_field_far_from_home_is_refused(load):
+    mission = load(f"polygon_deg: {SQUARE_DEG}, sensor_radius_m: 18")
+    lay_area(mission, HOME, ORIGIN, 0.0)
     swapped = GeoPoint(latitude_deg=8.545594, longitude_deg=47.397742)
     with pytest.raises(MissionFileError, match=r"the field is \d+ km from home; .* swapped"):
-        _lay(mission, swapped)
-    covered = load(
-        f"polygon_deg: {SQUARE_DEG}, {RADIUS}, no_fly: [{{name: hut, polygon_m: {COVER_M}}}]"
-    )
-    with pytest.raises(MissionFileError, match="'hut' covers all"):
-        _lay(covered)
+        lay_area(mission, swapped, swapped, 0.0)
