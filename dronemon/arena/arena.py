@@ -94,6 +94,11 @@ class Arena:
         """The agent's ways about it."""
         return Ways(self.free)
 
+    @cached_property
+    def field_ways(self) -> Ways:
+        """Targets' ways about it."""
+        return Ways(self.field)
+
     @property
     def bounds(self) -> FloatArray:
         """The box around it. -> (2, 2) float64 au, low and high corner."""

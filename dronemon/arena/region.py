@@ -48,6 +48,11 @@ class Region:
         clipped[is_out] = shapely.get_coordinates(shapely.get_point(nearest, 0))
         return clipped
 
+    def largest_circle(self) -> tuple[FloatArray, float]:
+        """Centre (2,) au and radius of the largest circle inside, to a thousandth or so."""
+        radius = shapely.maximum_inscribed_circle(self.shape)
+        return shapely.get_coordinates(radius)[0], float(shapely.length(radius))
+
     def shrunk(self, margin_au: float) -> Region | None:
         """What is so far inside, the largest part of it; None if there is none."""
         if margin_au == 0.0:
