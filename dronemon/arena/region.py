@@ -23,6 +23,11 @@ class Region:
         self._generous = shape.buffer(ROUNDING_AU, join_style="mitre")
         shapely.prepare([self.shape, self._generous])
 
+    @property
+    def area_au2(self) -> float:
+        """How large it is."""
+        return float(self.shape.area)
+
     def contains(self, places_au: FloatArray) -> BoolArray:
         """Tell which places are inside or on the border; none that is not finite. (..., 2)."""
         places_au = np.asarray(places_au, dtype=np.float64)

@@ -41,8 +41,9 @@ _AHEAD, _WAYS_BACK = 20, 24
 _RADIUS_AU, _TRIES = (0.08, 0.25), 50
 """Radii of loops, less in a field less than 1 au across, and how often a place is sought for one
 before it is made smaller by half."""
-_HERD_AU, _HERD_PERIOD_AU = 0.08, (1.0, 3.0)
-"""How far members of a herd go from its centre along each axis, and in how much walking."""
+_HERD_AU, _HERD_PERIOD_AU, _HERD_ROOM = 0.08, (1.0, 3.0), 1.0 / 3.0
+"""How far members of a herd go from its centre along each axis, and in how much walking; and the
+share of a polygon that this leaves its centre at least, or they keep closer."""
 _STREETS_PER_AU, _JITTER, _OPEN = 5.0, 0.25, 0.6
 """Junctions along an au, how far they are off a grid in its cells, and share of the streets that
 are there though every junction can be reached without them."""
@@ -197,7 +198,8 @@ def _herd_centre(rng: np.random.Generator, arena: Arena) -> tuple[FloatArray, fl
     reach_au = _HERD_AU * _breadth(arena)
     if arena.is_rectangle:
         return _folded(_wander("correlated", rng, arena), arena, reach_au), reach_au
-    while (inner := arena.field.shrunk(2.0**0.5 * reach_au)) is None:
+    room_au2 = _HERD_ROOM * arena.field.area_au2
+    while (inner := arena.field.shrunk(2.0**0.5 * reach_au)) is None or inner.area_au2 < room_au2:
         reach_au /= 2.0
     return _wander("correlated", rng, Arena.polygon(inner.rings[0])), reach_au
 
