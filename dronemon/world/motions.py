@@ -138,7 +138,7 @@ def _turned_back(
             back = turns[field.is_free(here, here + steps_au[0] @ turns)]
             if len(back):
                 steps_au = steps_au @ back[rng.integers(len(back))]
-            else:
+            else:  # in a corner as narrow as that
                 steps_au = np.concatenate([steps_au[:1] / 2.0, steps_au[1:]])
     return walk_au
 
@@ -174,7 +174,8 @@ def _circle(rng: np.random.Generator, arena: Arena) -> FloatArray:
             )
             begin, sense = rng.uniform(0.0, 2.0 * np.pi), rng.choice([-1.0, 1.0])
             angle = begin + sense * np.linspace(0.0, 2.0 * np.pi, 73)
-            circle_au = centre_au + radius_au * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            around = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            circle_au: FloatArray = centre_au + radius_au * around
             if arena.is_rectangle or arena.field.is_free(circle_au[:-1], circle_au[1:]).all():
                 return circle_au
         radius_au /= 2.0

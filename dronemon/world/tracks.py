@@ -2,8 +2,8 @@
 
     time,target,x,y                     x and y in au, all the way in the area
     time,target,latitude,longitude      laid into the area: the longer side of what the targets
-                                        cover is the area's side, of a polygon that of the square
-                                        in its largest circle
+                                        cover is the area's shorter side, of a polygon that of the
+                                        square in its largest circle
     a .gpx file                         one target per track, as the last
 
 Times are numbers in any unit, or ISO 8601. Columns may be named as Movebank has them. Of a file of
@@ -258,25 +258,22 @@ def _in_arena(tracks: list[list[Fix]], arena: Arena, path: Path) -> list[FloatAr
     for track, places_au in zip(tracks, every, strict=True):
         if not (is_in := arena.contains(places_au)).all():
             fix = track[int(is_in.argmin())]
+            (left, bottom), (right, top) = arena.low_au, arena.high_au
             raise OptionError(
                 f"{path}, line {fix.line}: {fix.target} at {fix.place[0]:g}, {fix.place[1]:g} is "
-                f"not in the area, {_told(arena)}; mind the unit, or give latitude and longitude"
+                f"not in the area, which lies within x {left:g} to {right:g}, y {bottom:g} to "
+                f"{top:g} au; mind the unit, or give latitude and longitude"
             )
         if arena.is_rectangle:
             continue
         if not (is_in := arena.field.is_free(places_au[:-1], places_au[1:])).all():
-            left = int(is_in.argmin())
+            number = int(is_in.argmin())
+            before, fix = track[number : number + 2]
             raise OptionError(
-                f"{path}, line {track[left + 1].line}: the straight way of {track[left].target} "
-                f"from its place in line {track[left].line} leaves the area; add fixes between them"
+                f"{path}, line {fix.line}: the straight way of {fix.target} from its place in line "
+                f"{before.line} leaves the area; add fixes between them"
             )
     return every
-
-
-def _told(arena: Arena) -> str:
-    (left, bottom), (right, top) = arena.low_au, arena.high_au
-    form = "" if arena.is_rectangle else "a polygon "
-    return f"{form}within x {left:g} to {right:g}, y {bottom:g} to {top:g} au"
 
 
 def _geo(fix: Fix) -> GeoPoint:

@@ -107,7 +107,7 @@ GLOBE = "time,target,lat,lon\n"
         ),
         (
             au("0,cow,0.1,0.1", "1,cow,350,120"),
-            "line 3: cow at 350, 120 is not in the area, within x 0 to 1",
+            "line 3: cow at 350, 120 is not in the area",
         ),
         (au("0,cow,0.1,0.1", "1,cow,,0.1"), "line 3: '' is no number"),
         (au("0,cow,0.1,0.1", "1,cow,nan,0.1"), "line 3: 'nan' is no number"),
