@@ -13,6 +13,7 @@ from dronemon.mission import Mission, MissionFile, find_mission, load_mission, m
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
 from dronemon.mission.document import Overrides, Problem
+from dronemon.mission.field import field_problems
 from dronemon.mission.schema import GIMBAL_ERROR_DEG
 from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
@@ -197,7 +198,10 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
             "fixed to it; leave it out",
         )
     if mission.vehicle.is_mock or follow is not None:
-        if flaw := motion_flaw(mission.simulation.motion, len(mission.targets)):
+        motion, count = mission.simulation.motion, len(mission.targets)
+        if any(field_problems(mission)):  # they are told already
+            return
+        if flaw := motion_flaw(motion, count, mission_arena(mission)):
             yield ("simulation", "motion"), flaw
         return
     if mission.camera.is_simulated:

@@ -102,12 +102,17 @@ class Arena:
     @cached_property
     def goals(self) -> Region:
         """Where search puts goals: a little off the edges, or a way between two might cross one."""
-        return next(iter(self.free.parts(CLEAR_AU / 2.0)), self.free)
+        return self.free.shrunk(CLEAR_AU / 2.0) or self.free
 
     @cached_property
     def ways(self) -> Ways:
         """The agent's ways about it."""
         return Ways(self.free)
+
+    @cached_property
+    def field_ways(self) -> Ways:
+        """Targets' ways about it."""
+        return Ways(self.field)
 
     @property
     def bounds(self) -> FloatArray:
@@ -161,8 +166,8 @@ class Arena:
         -> (..., 2) float64 au
         """
         if not self.is_rectangle:
-            region = next(iter(self.free.parts(margin_au)), self.free) if margin_au else self.free
-            return region.clip(places_au)
+            region = self.free.shrunk(margin_au) if margin_au else self.free
+            return (region or self.free).clip(places_au)
         low, high = self.bounds
         clipped: FloatArray = np.clip(places_au, low + margin_au, high - margin_au)
         return clipped

@@ -24,6 +24,11 @@ class Region:
         self._generous = shape.buffer(ROUNDING_AU, join_style="mitre")
         shapely.prepare([self.shape, self._generous])
 
+    @property
+    def area_au2(self) -> float:
+        """How large it is."""
+        return float(self.shape.area)
+
     def contains(self, places_au: FloatArray) -> BoolArray:
         """Tell which places are inside or on the border; none that is not finite. (..., 2)."""
         places_au = np.asarray(places_au, dtype=np.float64)
@@ -48,6 +53,15 @@ class Region:
         nearest = shapely.shortest_line(self.shape, shapely.points(clipped[is_out]))
         clipped[is_out] = shapely.get_coordinates(shapely.get_point(nearest, 0))
         return clipped
+
+    def largest_circle(self) -> tuple[FloatArray, float]:
+        """Centre (2,) au and radius of the largest circle inside, to a thousandth or so."""
+        radius = shapely.maximum_inscribed_circle(self.shape)
+        return shapely.get_coordinates(radius)[0], float(shapely.length(radius))
+
+    def shrunk(self, margin_au: float) -> Region | None:
+        """What is so far inside, the largest part of it; None if there is none."""
+        return next(iter(self.parts(margin_au)), None)
 
     def parts(self, margin_au: float, without: Iterable[Polygon] = ()) -> list[Region]:
         """What is left a margin away from the border and from other polygons, largest first."""
@@ -77,11 +91,6 @@ class Region:
         out, across = np.sqrt(along)[..., None], shares[..., 1, None]
         places: FloatArray = (1.0 - out) * a + out * ((1.0 - across) * b + across * c)
         return places
-
-    @property
-    def area_au2(self) -> float:
-        """How large it is."""
-        return float(self.shape.area)
 
     @property
     def rings(self) -> list[FloatArray]:

@@ -1,4 +1,4 @@
-"""The random roadmap: nodes over the arena, each joined to its nearest neighbours.
+"""The random roadmap: nodes over the arena, each joined to its nearest by straight free edges.
 
 Source: paper, section IV-A.1.
 """
@@ -20,6 +20,7 @@ MAX_ADDED_NEIGHBOURS = 4
 
 Each is the shortest between some nodes and all others, so it belongs to the minimum spanning tree;
 edges of that meet at 60 degrees or more, so a node has five at most, and one leads to its nearest.
+This holds in a rectangle; where something is in the way there may be more.
 """
 
 
@@ -45,14 +46,21 @@ class Roadmap:
     ) -> Roadmap:
         """Draw `num_nodes` uniform nodes besides the start, each joined to its nearest.
 
-        num_neighbours counts the node itself; start_au: (2,) au.
+        In a polygon edges keep to where the agent may be. Where no such edges join all nodes, nodes
+        are added at the turns of the shortest way from one part to the next, so there may be more
+        than were asked for, the drawn ones first.
+
+        num_neighbours counts the node itself; start_au: (2,) au. ValueError where the agent may not
+        be there.
         """
         drawn_au = arena.sample_free(num_nodes, rng)
         nodes_au = np.concatenate([np.asarray(start_au, dtype=np.float64)[None], drawn_au])
-        distance_au = _pairwise(nodes_au)
+        nodes_au, distance_au = _bridged(nodes_au, arena)
         np.fill_diagonal(distance_au, -1.0)  # the node itself comes first, whatever else lies there
         nearest = np.argsort(distance_au, axis=1, kind="stable")[:, :num_neighbours]
-        return cls(nodes_au=nodes_au, neighbours=_joined(distance_au, nearest))
+        is_edge = np.take_along_axis(distance_au, nearest, axis=1) < np.inf
+        neighbours = np.where(is_edge, nearest, np.arange(len(nodes_au))[:, None])
+        return cls(nodes_au=nodes_au, neighbours=_joined(distance_au, neighbours))
 
     @property
     def num_nodes(self) -> int:
@@ -96,6 +104,38 @@ def _pairwise(nodes_au: FloatArray) -> FloatArray:
     """Straight distances. nodes_au: (V, 2) -> (V, V) au."""
     difference: FloatArray = nodes_au[:, None] - nodes_au
     return np.hypot(difference[..., 0], difference[..., 1])
+
+
+def _bridged(nodes_au: FloatArray, arena: Arena) -> tuple[FloatArray, FloatArray]:
+    """Add nodes until straight free edges can join all of them, and tell how long each would be.
+
+    nodes_au: (V, 2), the first the start
+    -> (W >= V, 2) au; (W, W) au, infinite where something is in the way
+    """
+    if arena.is_rectangle:
+        return nodes_au, _pairwise(nodes_au)
+    if not arena.free.contains(nodes_au[0]):
+        raise ValueError(f"the agent may not be at {nodes_au[0]} au, where it is to start")
+    while True:
+        distance_au = _pairwise(nodes_au)
+        is_free = _sights(nodes_au, arena)
+        _, label = connected_components(is_free)
+        is_near = label == label[0]
+        if is_near.all():
+            return nodes_au, np.where(is_free, distance_au, np.inf)
+        between = np.where(is_near[:, None] & ~is_near, distance_au, np.inf)
+        near, far = np.unravel_index(between.argmin(), between.shape)
+        turns_au = arena.way(nodes_au[near], nodes_au[far])[:-1]
+        is_new = (turns_au[:, None] != nodes_au).any(axis=-1).all(axis=-1)
+        nodes_au = np.concatenate([nodes_au, turns_au[is_new]])
+
+
+def _sights(nodes_au: FloatArray, arena: Arena) -> BoolArray:
+    """Between which nodes one can fly straight. (V, 2) -> (V, V)."""
+    is_free = np.eye(len(nodes_au), dtype=bool)
+    one, other = np.triu_indices(len(nodes_au), 1)
+    is_free[one, other] = is_free[other, one] = arena.free.is_free(nodes_au[one], nodes_au[other])
+    return is_free
 
 
 def _joined(distance_au: FloatArray, neighbours: IntArray) -> IntArray:

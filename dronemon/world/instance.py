@@ -44,7 +44,7 @@ class Instance:
         motion:       see `dronemon.world.motions`; OptionError where it is a file of no use
         speed_spread: targets are up to this share faster or slower than the others take them to be
         """
-        paths = draw_paths(motion, num_targets, named_stream(seed, "targets"))
+        paths = draw_paths(motion, num_targets, named_stream(seed, "targets"), arena)
         spread = named_stream(seed, "speeds").uniform(-speed_spread, speed_spread, num_targets)
         return cls(
             seed=seed,

@@ -6,12 +6,14 @@ nodes").
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.types import FloatArray, IntArray
 
 POINTS_PER_PATH = 50
@@ -21,7 +23,8 @@ POINTS_PER_PATH = 50
 class TargetPaths:
     """Paths of all targets; a target that reaches the end of its path walks it back.
 
-    points_au: (N, P, 2) float64 au, each path's points in the order in which they are visited
+    points_au: (N, P, 2) float64 au, each path's points in the order in which they are visited; the
+               last again in paths of fewer
     marks_au:  (N, P)    distance walked at which each is reached, a rest counted as if it walked on
     is_closed: each path ends where it begins, and the target goes on the same way round
     """
@@ -31,22 +34,26 @@ class TargetPaths:
     is_closed: bool = False
 
     @classmethod
-    def along(cls, points_au: FloatArray, *, is_closed: bool = False) -> TargetPaths:
-        """Targets that never rest. points_au: (N, P, 2)."""
+    def along(cls, ways_au: Iterable[FloatArray], *, is_closed: bool = False) -> TargetPaths:
+        """Targets that never rest. ways_au: (P, 2) of each, not of one length perhaps."""
+        points_au = stacked(ways_au)
         steps = np.diff(points_au, axis=1)
         lengths = np.sqrt(steps[..., 0] ** 2 + steps[..., 1] ** 2)
         marks = np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0)))
         return cls(points_au=points_au, marks_au=marks, is_closed=is_closed)
 
     @classmethod
-    def random(cls, num_targets: int, rng: np.random.Generator) -> TargetPaths:
+    def random(
+        cls, num_targets: int, rng: np.random.Generator, arena: Arena = ARENA
+    ) -> TargetPaths:
         """Draw one path per target; the first targets of a larger draw are those of a smaller one.
 
         The two ends of a path are uniform random points, as in the authors' release, so targets
-        start uniformly in the arena; only the order of the points between them is shortened.
+        start uniformly in the arena; only the order of the points between them is shortened, as
+        if nothing were in the way.
         """
-        drawn = [ARENA.sample(POINTS_PER_PATH, rng) for _ in range(num_targets)]
-        return cls.along(np.stack([points[short_path_order(points)] for points in drawn]))
+        drawn = [arena.sample(POINTS_PER_PATH, rng) for _ in range(num_targets)]
+        return cls.along(inside(points[short_path_order(points)], arena) for points in drawn)
 
     def at_speeds(self, factors: FloatArray) -> TargetPaths:
         """The same paths, each target so many times as fast as the others take it. factors: (N,)"""
@@ -69,7 +76,7 @@ class TargetPaths:
 
     @property
     def lengths_au(self) -> FloatArray:
-        """(N,) length of each path: 4.9 to 6.6 au, where the paper's fastest targets walk 4.3."""
+        """(N,) of each path: in the paper 4.9 to 6.6 au, where its fastest targets walk 4.3."""
         lengths: FloatArray = self.marks_au[:, -1]
         return lengths
 
@@ -101,6 +108,21 @@ class TargetPaths:
             turned = np.where(direction < 0.0, np.pi, 0.0)
             headings.append(self._directions_rad[target, segment] + turned)
         return np.stack(headings, axis=-1)
+
+
+def stacked(rows: Iterable[FloatArray]) -> FloatArray:
+    """Arrays of any lengths as one, of shorter ones the last entry again. -> (N, P, ...)."""
+    rows = list(rows)
+    longest = max(map(len, rows))
+    return np.stack([np.concatenate([row, row[-1:].repeat(longest - len(row), 0)]) for row in rows])
+
+
+def inside(places_au: FloatArray, arena: Arena) -> FloatArray:
+    """The shortest way through places in the arena that never leaves it. (P, 2) -> (P' >= P, 2)."""
+    if arena.is_rectangle:
+        return places_au
+    legs = [arena.field_ways.way(here, there) for here, there in pairwise(places_au)]
+    return np.concatenate([places_au[:1], *legs])
 
 
 def short_path_order(points_au: FloatArray) -> IntArray:

@@ -1,8 +1,9 @@
 """Real tracks as a world: fixes of collared animals or of vehicles, read from a CSV or GPX file.
 
-    time,target,x,y                     x and y in au, 0 to 1
+    time,target,x,y                     x and y in au, all the way in the area
     time,target,latitude,longitude      laid into the area: the longer side of what the targets
-                                        cover is the area's side
+                                        cover is the area's shorter side, of a polygon that of the
+                                        square in its largest circle
     a .gpx file                         one target per track, as the last
 
 Times are numbers in any unit, or ISO 8601. Columns may be named as Movebank has them. Of a file of
@@ -26,11 +27,11 @@ from xml.sax.handler import ContentHandler
 
 import numpy as np
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.errors import OptionError
 from dronemon.frames import GeoPoint, geo_to_ned
 from dronemon.types import FloatArray
-from dronemon.world.targets import TargetPaths
+from dronemon.world.targets import TargetPaths, stacked
 
 _MOST_BYTES, _MOST_LETTERS, _MOST_TIME = 50_000_000, 100, 1e15
 _LEAST_WAY_AU = 0.01
@@ -57,7 +58,7 @@ class Fix(NamedTuple):
 
 
 @cache
-def draw_tracks(path: Path, num_targets: int) -> TargetPaths:
+def draw_tracks(path: Path, num_targets: int, arena: Arena = ARENA) -> TargetPaths:
     """The first targets of a file, laid out and timed without regard to the others.
 
     Raises OptionError naming file and line.
@@ -66,7 +67,8 @@ def draw_tracks(path: Path, num_targets: int) -> TargetPaths:
     if len(every) < num_targets:
         raise OptionError(f"{path} has {len(every)} targets; {num_targets} are wanted")
     tracks = every[:num_targets]
-    places = _laid_out(tracks, path) if is_geographic else [_in_arena(t, path) for t in tracks]
+    lay = _laid_out if is_geographic else _in_arena
+    places = lay(tracks, arena, path)
     return _paths([[fix.time_s for fix in track] for track in tracks], places, path)
 
 
@@ -250,25 +252,36 @@ def _check_track(track: list[Fix], path: Path) -> None:
         )
 
 
-def _in_arena(track: list[Fix], path: Path) -> FloatArray:
-    """A track in au as it is. -> (P, 2) au. Raises OptionError for a fix outside."""
-    places_au = np.array([fix.place for fix in track])
-    outside = np.flatnonzero(~ARENA.contains(places_au))
-    if len(outside):
-        fix = track[outside[0]]
-        raise OptionError(
-            f"{path}, line {fix.line}: {fix.target} at {fix.place[0]:g}, {fix.place[1]:g} is not "
-            "within 0 to 1 au; divide metres by the area's side, or give latitude and longitude"
-        )
-    return places_au
+def _in_arena(tracks: list[list[Fix]], arena: Arena, path: Path) -> list[FloatArray]:
+    """Tracks in au as they are. -> (P, 2) au of each. Raises OptionError for one that leaves."""
+    every = [np.array([fix.place for fix in track]) for track in tracks]
+    for track, places_au in zip(tracks, every, strict=True):
+        if not (is_in := arena.contains(places_au)).all():
+            fix = track[int(is_in.argmin())]
+            (left, bottom), (right, top) = arena.low_au, arena.high_au
+            raise OptionError(
+                f"{path}, line {fix.line}: {fix.target} at {fix.place[0]:g}, {fix.place[1]:g} is "
+                f"not in the area, which lies within x {left:g} to {right:g}, y {bottom:g} to "
+                f"{top:g} au; mind the unit, or give latitude and longitude"
+            )
+        if arena.is_rectangle:
+            continue
+        if not (is_in := arena.field.is_free(places_au[:-1], places_au[1:])).all():
+            number = int(is_in.argmin())
+            before, fix = track[number : number + 2]
+            raise OptionError(
+                f"{path}, line {fix.line}: the straight way of {fix.target} from its place in line "
+                f"{before.line} leaves the area; add fixes between them"
+            )
+    return every
 
 
 def _geo(fix: Fix) -> GeoPoint:
     return GeoPoint(latitude_deg=fix.place[0], longitude_deg=fix.place[1], altitude_m=0.0)
 
 
-def _laid_out(tracks: list[list[Fix]], path: Path) -> list[FloatArray]:
-    """Tracks on the globe, fitted into the arena about its centre. -> (P, 2) au of each."""
+def _laid_out(tracks: list[list[Fix]], arena: Arena, path: Path) -> list[FloatArray]:
+    """Tracks on the globe, fitted into the arena about its middle. -> (P, 2) au of each."""
     for track in tracks:
         for fix in track:
             if not (-90.0 <= fix.place[0] <= 90.0 and -180.0 <= fix.place[1] <= 360.0):
@@ -283,9 +296,12 @@ def _laid_out(tracks: list[list[Fix]], path: Path) -> list[FloatArray]:
     side_m = float((high - low).max())
     if side_m < 1.0:
         raise OptionError(f"{path}: its targets stay within a metre of each other")
-    middle_au = ARENA.bounds.mean(axis=0)
-    scale = float(ARENA.extent_au.min()) / side_m
-    return [ARENA.clip(middle_au + scale * (p - (low + high) / 2.0)) for p in east_north]
+    middle_au, side_au = arena.bounds.mean(axis=0), float(arena.extent_au.min())
+    if not arena.is_rectangle:
+        middle_au, radius_au = arena.field.largest_circle()
+        side_au = 2.0**0.5 * radius_au
+    scale = side_au / side_m
+    return [arena.clip(middle_au + scale * (p - (low + high) / 2.0)) for p in east_north]
 
 
 def _paths(times: list[list[float]], places: list[FloatArray], path: Path) -> TargetPaths:
@@ -307,9 +323,5 @@ def _paths(times: list[list[float]], places: list[FloatArray], path: Path) -> Ta
             f"{path}: its {len(times)} targets walk {walked:.2g} au while all have fixes, from "
             f"{begin:.10g} to {end:.10g}; too little to be played"
         )
-    count = max(map(len, ways))
     marks = [walked * (at - begin) / (end - begin) for at in instants]
-    return TargetPaths(
-        points_au=np.stack([np.pad(w, ((0, count - len(w)), (0, 0)), mode="edge") for w in ways]),
-        marks_au=np.stack([np.pad(m, (0, count - len(m)), mode="edge") for m in marks]),
-    )
+    return TargetPaths(points_au=stacked(ways), marks_au=stacked(marks))

@@ -105,7 +105,10 @@ GLOBE = "time,target,lat,lon\n"
             au(*(f"{t},cow,{t / 100},0.1" for t in (0, 1, 2, 3, 30, 31))),
             "line 6: no fix of cow for 27 since line 5, where they come every 1",
         ),
-        (au("0,cow,0.1,0.1", "1,cow,350,120"), "line 3: cow at 350, 120 is not within 0 to 1 au"),
+        (
+            au("0,cow,0.1,0.1", "1,cow,350,120"),
+            "line 3: cow at 350, 120 is not in the area",
+        ),
         (au("0,cow,0.1,0.1", "1,cow,,0.1"), "line 3: '' is no number"),
         (au("0,cow,0.1,0.1", "1,cow,nan,0.1"), "line 3: 'nan' is no number"),
         (au("0,cow,0.1,0.1", "noon,cow,0.1,0.1"), "line 3: 'noon' is no time"),
