@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
@@ -68,25 +68,29 @@ class Cost(NamedTuple):
 
 
 def cost_home(
-    way_m: Point, height_m: float, parameters: Mapping[str, float], wind: Wind = CALM
+    legs_m: Sequence[Point], height_m: float, parameters: Mapping[str, float], wind: Wind = CALM
 ) -> Cost:
     """What it takes to return and touch down as PX4 does from farther away than RTL_MIN_DIST.
 
-    way_m: (north, east) to home; height_m: above home
+    legs_m: (north, east) of each leg of the way home; height_m: above home
     parameters: the vehicle's RETURN_PARAMETERS, those that are known
     """
     p = {**RETURN_PARAMETERS, **parameters}
     climb_m = max(p["RTL_RETURN_ALT"] - height_m, 0.0)
-    stages = 1 + (climb_m > _THERE_M) + (math.hypot(*way_m) > _THERE_M)
+    turns = sum(math.hypot(*leg_m) > _THERE_M for leg_m in legs_m)
+    stages = 1 + (climb_m > _THERE_M) + turns
     upright_s = (
         climb_m / max(p["MPC_Z_V_AUTO_UP"], _LEAST)
         + _descent_s(height_m + climb_m, p)
         + max(p["RTL_LAND_DELAY"], 0.0)
         + stages * _SETTLE_S
     )
-    way_s, push_m_s2 = _way(way_m, p, wind)
+    ways = [_way(leg_m, p, wind) for leg_m in legs_m]
     over = _push_rate(math.hypot(*wind.at_rest_m_s2))
-    return Cost(upright_s + way_s, upright_s * over + way_s * _push_rate(push_m_s2))
+    return Cost(
+        upright_s + sum(way_s for way_s, _ in ways),
+        upright_s * over + sum(way_s * _push_rate(push_m_s2) for way_s, push_m_s2 in ways),
+    )
 
 
 def _descent_s(top_m: float, p: Mapping[str, float]) -> float:

@@ -29,11 +29,14 @@ class Fence:
     corners_ned_m: (n, 2) north and east, in order
     edges:         (n, 3) unit normal that points out, and offset: n.x + offset = 0 on the edge
     downs_m:       highest and lowest down coordinate
+    zones_ned_m:   (m, 2) north and east of the corners of each no-fly zone, which this program
+                   alone keeps: an emergency's return is straight, and the vehicle would hold there
     """
 
     corners_ned_m: FloatArray
     edges: FloatArray
     downs_m: tuple[float, float]
+    zones_ned_m: tuple[FloatArray, ...] = ()
 
     @classmethod
     def around(
@@ -59,6 +62,7 @@ class Fence:
             corners_ned_m=hull.points[hull.vertices],
             edges=hull.equations,
             downs_m=(down_m - margin_m, down_m + min(margin_m, altitude_m / 2.0)),
+            zones_ned_m=tuple(frame.au_to_ned(np.array(zone)) for zone in frame.arena.no_fly_au),
         )
 
     def laid_as(self, corners_ned_m: FloatArray) -> Fence:
@@ -73,9 +77,11 @@ class Fence:
         return inside_m
 
     def stops_inside(self, pose: Pose) -> bool:
-        """Whether the drone, if it turns back from now on, stays inside."""
-        stop_m = np.array(pose.position_ned_m[:2]) + _STOP_S * np.array(pose.velocity_ned_m_s[:2])
-        return bool(self.inside_m(stop_m) > 0.0)
+        """Whether the drone, if it turns back from now on, stays inside, and is in no zone."""
+        here_m = np.array(pose.position_ned_m[:2])
+        stop_m = here_m + _STOP_S * np.array(pose.velocity_ned_m_s[:2])
+        is_in_zone = any(_contains(zone_m, here_m) for zone_m in self.zones_ned_m)
+        return bool(self.inside_m(stop_m) > 0.0) and not is_in_zone
 
     def is_at_height(self, pose: Pose) -> bool:
         """Whether it is neither too high nor too low for a patrol."""

@@ -19,6 +19,7 @@ class State(StrEnum):
     PREPARING = "preparing"
     LAUNCHING = "launching"
     PATROLLING = "patrolling"
+    HEADING_HOME = "flying home around no-fly zones"
     RETURNING = "returning"
     LANDING = "landing here"
     FAILSAFE = "failsafe flies"
@@ -26,7 +27,7 @@ class State(StrEnum):
     ENDED = "ended"
 
 
-MISSION = (State.PREPARING, State.LAUNCHING, State.PATROLLING)
+MISSION = (State.PREPARING, State.LAUNCHING, State.PATROLLING, State.HEADING_HOME)
 HOMEWARD = (State.RETURNING, State.LANDING, State.FAILSAFE)
 
 
@@ -85,6 +86,7 @@ class Reason(StrEnum):
     BLIND = "no picture could be taken and read for too long; the drone returns"
     HORIZON = "the horizon is flown"
     PLANNER_LATE = "the planner gave no waypoint in time"
+    THERE = "it has flown home as far as the autopilot must not fly straight"
     UNSURE = "it may be armed: two heartbeats in a row must say that it is not, of one vehicle"
     MOTORS_OFF = "the motors are off"
     LEFT = "a person ended the program while nothing could be commanded"
@@ -123,6 +125,8 @@ class Situation:
     is_holding, is_coming_down: whether the mode is hold; whether it is return or land.
     is_failsafe_long: whether a failsafe has held for longer than it does before it acts.
     is_position_back: whether it was lost on this flight, and no return was refused since.
+    is_home_around: whether it is to fly home along its own way, which does not end here: straight,
+    as the autopilot returns, may be over a no-fly zone or outside of the field.
     is_overridden: whether we have landed it before on this flight, and a pilot's sticks are heard.
     is_down_under_way: whether the way down was confirmed, and nothing has broken it since.
     is_on_ground_long: whether it should have disarmed by itself.
@@ -157,6 +161,7 @@ class Situation:
     times_interrupted: int = 0
     is_horizon_flown: bool = False
     is_planner_late: bool = False
+    is_home_around: bool = False
     is_lost_for_long: bool = False
 
 
@@ -165,6 +170,7 @@ class PatrolFacts(TypedDict, total=False):
 
     is_horizon_flown: bool
     is_planner_late: bool
+    is_home_around: bool
     is_estimate_silent: bool
     is_outside: bool
     is_off_path: bool
@@ -203,7 +209,8 @@ def deciding_row(situation: Situation) -> Row:
     return next(row for row in _ROWS[situation.state] if row.holds(situation))
 
 
-_PREPARING, _LAUNCHING, _PATROLLING = ((state,) for state in MISSION)
+_PREPARING, _LAUNCHING, _PATROLLING, _HEADING_HOME = ((state,) for state in MISSION)
+_ON_THE_WAY = _PATROLLING + _HEADING_HOME
 _RETURNING, _LANDING, _FAILSAFE = ((state,) for state in HOMEWARD)
 _PILOT = (State.PILOT,)
 _STUCK = {Setback.REFUSED, Setback.LINK_LOST, Setback.FAILED}
@@ -222,6 +229,20 @@ def _given_back(*before: State) -> Callable[[Situation], bool]:
     return lambda s: s.is_offboard and s.before in before
 
 
+def _ends_of_patrol(holds: Callable[[Situation], bool], reason: Reason) -> tuple[Row, Row]:
+    """What ends a patrol without need of haste: home by its own way, if it has one, or straight."""
+    return (
+        Row(
+            _PATROLLING,
+            lambda s: holds(s) and s.is_home_around,
+            State.HEADING_HOME,
+            Action.GO_ON,
+            reason,
+        ),
+        Row(_PATROLLING, holds, State.RETURNING, Action.LEAVE, reason),
+    )
+
+
 # fmt: off
 TABLE = (
     # On the ground the vehicle is not ours yet: nothing is commanded.
@@ -234,28 +255,32 @@ TABLE = (
     Row(_PREPARING, lambda s: s.is_horizon_flown, State.ENDED, Action.END, Reason.HORIZON),
 
     # The mission, until something ends it.
-    Row(_LAUNCHING + _PATROLLING, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
-    Row(_LAUNCHING + _PATROLLING, _has(Setback.LINK_LOST),
+    Row(_LAUNCHING + _ON_THE_WAY, _has(Setback.PILOT), State.PILOT, Action.OFFER, Reason.TAKEN),
+    Row(_LAUNCHING + _ON_THE_WAY, _has(Setback.LINK_LOST),
         State.RETURNING, Action.LISTEN, Reason.LOST),
-    Row(_LAUNCHING + _PATROLLING, lambda s: s.setback is not Setback.NONE,
+    Row(_LAUNCHING + _ON_THE_WAY, lambda s: s.setback is not Setback.NONE,
         State.RETURNING, Action.LEAVE, Reason.FAILED),
-    Row(_PATROLLING, lambda s: not s.is_armed and s.is_sure,
+    Row(_ON_THE_WAY, lambda s: not s.is_armed and s.is_sure,
         State.RETURNING, Action.LEAVE, Reason.DISARMED),
-    Row(_PATROLLING, lambda s: not s.is_position_good,
+    Row(_ON_THE_WAY, lambda s: not s.is_position_good,
         State.LANDING, Action.LEAVE, Reason.NO_POSITION),
-    Row(_LAUNCHING + _PATROLLING, lambda s: s.times_interrupted >= 1,
+    Row(_LAUNCHING, lambda s: s.times_interrupted >= 1,
         State.RETURNING, Action.LEAVE, Reason.INTERRUPTED),
-    Row(_PATROLLING, lambda s: s.is_outside, State.RETURNING, Action.LEAVE, Reason.OUTSIDE),
-    Row(_PATROLLING, lambda s: s.is_battery_low, State.RETURNING, Action.LEAVE, Reason.BATTERY_LOW),
-    Row(_PATROLLING, lambda s: s.is_horizon_flown, State.RETURNING, Action.LEAVE, Reason.HORIZON),
-    Row(_PATROLLING, lambda s: s.is_time_up, State.RETURNING, Action.LEAVE, Reason.TIME_UP),
-    Row(_PATROLLING, lambda s: s.is_estimate_silent,
+    Row(_ON_THE_WAY, lambda s: s.times_interrupted >= 2,
+        State.RETURNING, Action.LEAVE, Reason.INTERRUPTED),
+    Row(_ON_THE_WAY, lambda s: s.is_outside, State.RETURNING, Action.LEAVE, Reason.OUTSIDE),
+    Row(_ON_THE_WAY, lambda s: s.is_estimate_silent,
         State.RETURNING, Action.LEAVE, Reason.ESTIMATE_SILENT),
-    Row(_PATROLLING, lambda s: s.is_off_path, State.RETURNING, Action.LEAVE, Reason.OFF_PATH),
-    Row(_PATROLLING, lambda s: s.is_stuck, State.RETURNING, Action.LEAVE, Reason.STUCK),
-    Row(_PATROLLING, lambda s: s.is_blind, State.RETURNING, Action.LEAVE, Reason.BLIND),
-    Row(_PATROLLING, lambda s: s.is_planner_late,
-        State.RETURNING, Action.LEAVE, Reason.PLANNER_LATE),
+    Row(_ON_THE_WAY, lambda s: s.is_off_path, State.RETURNING, Action.LEAVE, Reason.OFF_PATH),
+    Row(_ON_THE_WAY, lambda s: s.is_stuck, State.RETURNING, Action.LEAVE, Reason.STUCK),
+    *_ends_of_patrol(lambda s: s.times_interrupted >= 1, Reason.INTERRUPTED),
+    *_ends_of_patrol(lambda s: s.is_battery_low, Reason.BATTERY_LOW),
+    *_ends_of_patrol(lambda s: s.is_horizon_flown, Reason.HORIZON),
+    *_ends_of_patrol(lambda s: s.is_time_up, Reason.TIME_UP),
+    *_ends_of_patrol(lambda s: s.is_blind, Reason.BLIND),
+    *_ends_of_patrol(lambda s: s.is_planner_late, Reason.PLANNER_LATE),
+    Row(_HEADING_HOME, lambda s: not s.is_home_around,
+        State.RETURNING, Action.LEAVE, Reason.THERE),
     Row(MISSION, _always, None, Action.GO_ON, Reason.GO_ON),
 
     # The way home: who may still be heard?
@@ -309,7 +334,8 @@ TABLE = (
     Row(_PILOT, lambda s: s.setback is Setback.LINK_LOST and s.is_lost_for_long,
         State.ENDED, Action.END, Reason.LOST_FOR_GOOD),
     Row(_PILOT, lambda s: s.setback is not Setback.NONE, None, Action.LISTEN, Reason.LOST),
-    Row(_PILOT, _given_back(State.PATROLLING), State.PATROLLING, Action.GO_ON, Reason.GIVEN_BACK),
+    Row(_PILOT, _given_back(State.PATROLLING, State.HEADING_HOME),
+        State.PATROLLING, Action.GO_ON, Reason.GIVEN_BACK),
     Row(_PILOT, _given_back(State.LANDING), State.LANDING, Action.LEAVE, Reason.GIVEN_BACK),
     Row(_PILOT, _given_back(State.LAUNCHING, State.RETURNING, State.FAILSAFE),
         State.RETURNING, Action.LEAVE, Reason.GIVEN_BACK),  # before the patrol: too early to go on

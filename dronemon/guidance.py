@@ -120,6 +120,19 @@ class Carrot:
         self._legs.append(_Leg(self.end_m, waypoint_m, start_m, length_m))
         self.end_m = waypoint_m
 
+    def turn_off(self) -> Point:
+        """Cut the path as near ahead as it can be left without haste. -> its new end."""
+        end_m = self._s_m + self.window_m + _ASK_AHEAD_S * self._cruise_m_s
+        while len(self._legs) > 1 and self._legs[-1].start_m >= end_m:
+            self._legs.pop()
+        if self._legs and self._legs[-1].end_m > end_m:
+            leg = self._legs.pop()
+            place_m = leg.at(end_m)
+            self._legs.append(_Leg(leg.a, place_m, leg.start_m, end_m - leg.start_m))
+        if self._legs:
+            self.end_m = self._legs[-1].b
+        return self.end_m
+
     def advance(self, duration_s: float, vehicle_m: Point) -> tuple[Point, Point, Point]:
         """Move on. -> what to ask for (north, east): position in m, velocity, acceleration."""
         self._speed_m_s = self._speed_after(duration_s, self.remaining_m)

@@ -20,7 +20,7 @@ def _effort_s(
     height_m: float = 20.0,
     wind: Wind = CALM,
 ) -> float:
-    return cost_home(way_m, height_m, parameters, wind).effort_s
+    return cost_home([way_m], height_m, parameters, wind).effort_s
 
 
 def _drain(true_per_s: float, duration_s: float, noise: float = 0.0, rate: float = 1.0) -> Drain:
@@ -75,7 +75,7 @@ def test_the_way_home_is_climbed_flown_and_descended():
     descent_s, settle_s = 20.0 / 1.5 + 5.0 / 1.1 + 5.0 / 0.7, 4.0
     time_s = _effort_s({})
     assert time_s == pytest.approx(10.0 / 3.0 + 10.0 + descent_s + 3 * settle_s)
-    assert cost_home(WAY_M, 20.0, {}) == Cost(time_s, time_s)
+    assert cost_home([WAY_M], 20.0, {}) == Cost(time_s, time_s)
     assert _effort_s({}, height_m=50.0) > time_s
     assert _effort_s({}, height_m=30.0) == pytest.approx(time_s - 10.0 / 3.0 - settle_s)
     assert _effort_s({"RTL_LAND_DELAY": 20.0}) == pytest.approx(time_s + 20.0)
@@ -95,7 +95,7 @@ def test_the_way_home_is_climbed_flown_and_descended():
 )
 def test_the_way_home_takes_as_long_as_px4_does(away_m, height_m, return_m, measured_s):
     """PX4 v1.17.0 SITL, its defaults, no wind: from the command to 0.1 m above where it began."""
-    cost = cost_home((away_m, 0.0), height_m, {"RTL_RETURN_ALT": return_m})
+    cost = cost_home([(away_m, 0.0)], height_m, {"RTL_RETURN_ALT": return_m})
     assert cost.time_s == pytest.approx(measured_s, abs=4.0)
 
 
@@ -111,5 +111,13 @@ def test_wind_costs_on_the_way_against_it_and_time_where_it_is_too_strong_for_cr
 
 
 def test_a_parameter_that_cannot_be_read_is_no_reason_to_fly_on():
-    cost = cost_home(WAY_M, 20.0, {"MPC_LAND_SPEED": math.nan})
+    cost = cost_home([WAY_M], 20.0, {"MPC_LAND_SPEED": math.nan})
     assert Drain(ENDURANCE_S).needed(cost) == 1.0
+
+
+def test_a_way_around_costs_each_of_its_legs():
+    """Two legs of 30 m in a row cost what one of 60 m does, and a turn between them."""
+    straight, around = (
+        cost_home(legs_m, 20.0, {}) for legs_m in ([(60.0, 0.0)], [(30.0, 0.0)] * 2)
+    )
+    assert around.time_s == pytest.approx(straight.time_s + 4.0)

@@ -27,6 +27,7 @@ ALLOWED = {
     State.PREPARING: {Action.GO_ON},
     State.LAUNCHING: {Action.GO_ON},
     State.PATROLLING: {Action.GO_ON},
+    State.HEADING_HOME: {Action.GO_ON},
     State.RETURNING: {Action.LEAVE, Action.LISTEN, Action.RETURN, Action.WATCH, Action.DISARM},
     State.LANDING: {Action.LEAVE, Action.LISTEN, Action.LAND, Action.WATCH, Action.DISARM},
     State.FAILSAFE: {Action.LISTEN, Action.WATCH, Action.DISARM},
@@ -48,6 +49,7 @@ MISSION_FACTS = (
         "is_blind",
         "is_horizon_flown",
         "is_planner_late",
+        "is_home_around",
     ),
 )
 MODES = (
@@ -61,7 +63,7 @@ GROUND = ({}, {"is_on_ground": True}, {"is_on_ground": True, "is_on_ground_long"
 FAILSAFES = ({}, {"is_failsafe": True}, {"is_failsafe": True, "is_failsafe_long": True})
 HOME_FLAGS = ("is_sure", "is_position_good", "is_position_back", "is_down_under_way")
 BEFORE = {
-    State.PILOT: (State.LAUNCHING, State.PATROLLING, *HOMEWARD),
+    State.PILOT: (State.LAUNCHING, State.PATROLLING, State.HEADING_HOME, *HOMEWARD),
     State.FAILSAFE: (State.RETURNING, State.LANDING),
 }
 """Where a pilot, or a failsafe on the way home, can break in."""
@@ -91,7 +93,7 @@ def _situations(state: State) -> Iterator[Situation]:
             BEFORE.get(state, (state,)),
             setbacks,
             (False, True),
-            (0, 1) if state in MISSION else (0, 2, 3),
+            (0, 1, 2) if state in MISSION else (0, 2, 3),
         ):
             yield Situation(
                 state=state,
@@ -154,7 +156,7 @@ def test_on_the_ground_a_vehicle_of_others_is_not_touched():
 def test_the_pilot_always_wins_and_nothing_is_commanded_then():
     for situation, advice in _advices():
         is_taken = situation.setback is Setback.PILOT and situation.is_armed
-        if is_taken and situation.state in {State.LAUNCHING, State.PATROLLING, *HOMEWARD}:
+        if is_taken and situation.state in {*MISSION[1:], *HOMEWARD}:
             assert advice.state is State.PILOT
         if situation.state is State.PILOT:
             assert advice.action not in COMMANDS
@@ -172,7 +174,7 @@ def test_control_comes_back_only_with_offboard():
 
 def test_the_patrol_goes_on_only_while_nothing_is_against_it():
     for situation, advice in _advices():
-        if situation.state is State.PATROLLING and advice.action is Action.GO_ON:
+        if situation.state is State.PATROLLING and advice.state is State.PATROLLING:
             assert situation.is_armed or not situation.is_sure
             assert situation.is_position_good
             assert not situation.is_battery_low
@@ -231,3 +233,26 @@ def test_every_row_is_reached_and_every_reason_used():
     reached = {id(deciding_row(situation)) for situation, _ in _advices()}
     assert [row for row in TABLE if id(row) not in reached] == []
     assert {row.reason for row in TABLE} == set(Reason)
+
+
+def test_the_way_home_is_its_own_where_it_has_one_and_there_is_no_haste():
+    haste = ("is_outside", "is_off_path", "is_stuck", "is_estimate_silent")
+    for situation, advice in _advices():
+        is_hasty = (
+            any(getattr(situation, fact) for fact in haste)
+            or situation.setback is not Setback.NONE
+            or situation.times_interrupted >= 2
+            or not situation.is_position_good
+            or (situation.is_sure and not situation.is_armed)
+        )
+        if situation.state is State.PATROLLING and advice.state is State.HEADING_HOME:
+            assert situation.is_home_around
+            assert not is_hasty
+            straight = advise(replace(situation, is_home_around=False))
+            assert (straight.state, straight.reason) == (State.RETURNING, advice.reason)
+        if situation.state is State.HEADING_HOME:
+            assert advice.state is not State.PATROLLING
+            if not is_hasty:
+                goes_on = situation.is_home_around
+                assert (advice.action is Action.GO_ON) == goes_on, (situation, advice)
+                assert advice.state is (State.HEADING_HOME if goes_on else State.RETURNING)

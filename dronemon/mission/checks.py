@@ -123,8 +123,8 @@ def return_min(
 
     parameters: the vehicle's energy.RETURN_PARAMETERS
     """
-    way_m = _reach_m(mission, away_m), 0.0
-    return cost_home(way_m, mission.flight.altitude_m, parameters).time_s / 60.0
+    legs_m = [(_reach_m(mission, away_m), 0.0)]
+    return cost_home(legs_m, mission.flight.altitude_m, parameters).time_s / 60.0
 
 
 def battery_problem(

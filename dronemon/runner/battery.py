@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from dronemon.energy import Cost, Drain, cost_home, lean_rate
 from dronemon.errors import VehicleError
 from dronemon.frames import GeoPoint, geo_to_ned
-from dronemon.guidance import Drag
+from dronemon.guidance import Drag, Point
 from dronemon.mission.schema import Flight
 from dronemon.types import Vector3
 from dronemon.vehicle import Landed, VehicleLink
@@ -23,6 +23,7 @@ class Battery:
     needed:     the level that it takes to come home from here and land
     drag:       how the air brakes the vehicle; whoever guides it lets it learn
     parameters: the vehicle's energy.RETURN_PARAMETERS
+    legs_home:  the way home from a place, each leg (north, east) in m, where it is not straight
     """
 
     def __init__(self, link: VehicleLink, flight: Flight) -> None:
@@ -34,6 +35,7 @@ class Battery:
         self.needed = 0.0
         self.drag = Drag()
         self.parameters: Mapping[str, float] = {}
+        self.legs_home: Callable[[Point], Sequence[Point]] | None = None
         self._time_s = math.inf
         self._home: tuple[GeoPoint | None, GeoPoint | None] = None, None
         self._home_ned_m: Vector3 = (0.0, 0.0, 0.0)
@@ -69,8 +71,11 @@ class Battery:
                 pose.position_ned_m,
                 self._home_ned_m,
             )
-            way_m = home_north - north, home_east - east
-            cost = cost_home(way_m, home_down - down, self.parameters, self.drag.wind)
+            if self.legs_home is not None:
+                legs_m = self.legs_home((north, east))
+            else:
+                legs_m = [(home_north - north, home_east - east)]
+            cost = cost_home(legs_m, home_down - down, self.parameters, self.drag.wind)
             self.needed = self._drain.needed(cost)
 
     def _fly(self, passed_s: float, effort_rate: float) -> None:

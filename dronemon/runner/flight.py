@@ -20,10 +20,11 @@ from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.ground import Ground
 from dronemon.runner.history import GOING_ON
-from dronemon.runner.inspection import aim, find, look, refusal
+from dronemon.runner.inspection import aim, find, home_m, look, refusal
 from dronemon.runner.last_seen import LastSeen, last_seen
 from dronemon.runner.patrol import Patrol
 from dronemon.runner.preparation import FlightSetup, brief, draw_start_and_roadmap
+from dronemon.runner.routes import Routes
 from dronemon.runner.supervisor import Supervisor
 from dronemon.runner.tally import Tally, progress
 from dronemon.types import FloatArray, Vector3
@@ -211,6 +212,9 @@ class _Flight:
         if not self._is_attached:
             await self._check_fitness(sight, frame, gimbal)
         fence = await ground.lay_fence(frame)
+        routes = Routes(frame, home_m(link))
+        if not routes.are_straight:
+            self._battery.legs_home = routes.legs_home
         start_au, roadmap = draw_start_and_roadmap(mission)
         await self._brief_planner(start_au, roadmap)
         self._tell_resumed(frame)
@@ -222,6 +226,7 @@ class _Flight:
             self._battery,
             frame=frame,
             fence=fence,
+            routes=routes,
             roadmap=roadmap,
             start_au=start_au,
         )
@@ -390,7 +395,8 @@ class _Flight:
         """Tell where the vehicle is from arming to the end; the patrol tells it by itself."""
         while True:
             await asyncio.sleep(_POSE_INTERVAL_S)
-            is_ours = self._supervisor.was_armed and self._supervisor.state is not State.PATROLLING
+            is_told = self._supervisor.state in {State.PATROLLING, State.HEADING_HOME}
+            is_ours = self._supervisor.was_armed and not is_told
             if is_ours and self._patrol is not None and not self._patrol.has_origin_moved():
                 with contextlib.suppress(RecordError):  # the patrol's next line meets it too
                     self._events.emit(Moved(pose=self._link.pose))

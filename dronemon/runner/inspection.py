@@ -15,6 +15,7 @@ from dronemon.errors import CameraError, DronemonError, LinkLost, VehicleError
 from dronemon.fence import Fence
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.guard import Reason
+from dronemon.guidance import Point
 from dronemon.mission import Mission, check_near, field_centre, lay_frame
 from dronemon.preflight import (
     PARAMETERS,
@@ -86,6 +87,15 @@ def lay_area(mission: Mission, home: GeoPoint, origin: GeoPoint, ground_down_m: 
     return lay_frame(mission, (float(north_m), float(east_m)), ground_down_m)
 
 
+def home_m(link: VehicleLink) -> Point:
+    """North and east of home, of a vehicle that is ready."""
+    state = link.state
+    assert state.home is not None  # wait_ready waited for both
+    assert state.origin is not None
+    north_m, east_m, _ = geo_to_ned(state.home, state.origin)
+    return float(north_m), float(east_m)
+
+
 def fence_around(
     mission: Mission,
     frame: AreaFrame,
@@ -93,14 +103,11 @@ def fence_around(
     margin_m: float | None = None,
 ) -> Fence:
     """The flight's fence; margin_m: the mission's unless it is given."""
-    state, flight = link.state, mission.flight
-    assert state.home is not None  # as above
-    assert state.origin is not None
-    north_m, east_m, _ = geo_to_ned(state.home, state.origin)
+    flight = mission.flight
     stands_m = link.pose.position_ned_m[:2]  # home is there once it is armed
     return Fence.around(
         frame,
-        [(float(north_m), float(east_m)), stands_m],
+        [home_m(link), stands_m],
         altitude_m=flight.altitude_m,
         margin_m=flight.fence_margin_m if margin_m is None else margin_m,
     )

@@ -8,31 +8,30 @@ waypoint is due, or looks at the oldest picture, one after the other, in threads
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
-from collections.abc import Mapping
 from functools import partial
 
 from dronemon.errors import PlannerError, VehicleError
 from dronemon.events import Attended, Decided, EventStream, Moved
 from dronemon.fence import Fence
 from dronemon.frames import AreaFrame, geo_to_ned
-from dronemon.guard import Action
+from dronemon.guard import Action, State
 from dronemon.guidance import Carrot, Point
-from dronemon.json_values import json_value
-from dronemon.planner import Explaining, Planner, Snapshot, Waypoint
-from dronemon.planner.motion import until_measurement_au, waypoint_flaw
+from dronemon.planner import Snapshot
+from dronemon.planner.motion import until_measurement_au
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.roadmap import Roadmap
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
+from dronemon.runner.deciding import decide
 from dronemon.runner.history import ORIGIN_DOUBT_M
 from dronemon.runner.observer import Observer
 from dronemon.runner.preparation import FlightSetup
+from dronemon.runner.routes import Routes
 from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
 from dronemon.runner.tally import Tally
-from dronemon.types import FloatArray, IntArray, Pose
+from dronemon.types import FloatArray, Pose
 from dronemon.vehicle import Setpoint
 
 SETPOINT_INTERVAL_S = 0.05
@@ -55,6 +54,8 @@ _STUCK_S = 30.0
 """Vehicle time for which the drone may make no way."""
 _CLIMB_LIMIT_S = 120.0
 _HEIGHT_BAND_M, _HEIGHT_BAND = 2.0, 0.15
+_THERE_M = 2.0
+"""So near to the end of its own way home the autopilot returns."""
 
 
 class Patrol:
@@ -69,6 +70,7 @@ class Patrol:
         *,
         frame: AreaFrame,
         fence: Fence,
+        routes: Routes,
         roadmap: Roadmap,
         start_au: FloatArray,
     ) -> None:
@@ -78,7 +80,7 @@ class Patrol:
         self._supervisor = supervisor
         self._events = events
         self._frame = frame
-        self._fence = fence
+        self._fence, self._routes = fence, routes
         self._roadmap = roadmap
         self._battery, self._drag = battery, battery.drag
         history = setup.history
@@ -96,6 +98,7 @@ class Patrol:
         self._last_pose: Pose | None = None
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_due = self._is_planner_asked = self._is_slowness_told = False
+        self._is_heading_home = False
         self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
         self._due_s = self._answer_s = 0.0  # since when it is, and how long answers took of late
         self._on_path_s = 0.0
@@ -107,7 +110,7 @@ class Patrol:
         """
         self._last_pose, self._waiting_since = None, None
         self._last_setpoint_s = -math.inf
-        self._is_waypoint_due = self._is_planner_asked = False
+        self._is_waypoint_due = self._is_planner_asked = self._is_heading_home = False
         self._observer.resume()
         self._work.set()
         place_m = self._link.pose.position_ned_m[:2]
@@ -163,14 +166,18 @@ class Patrol:
             window_m=flight.turn_window_m,
             ground_speed_m_s=pose.ground_speed_m_s,
         )
-        self._carrot.extend(_point(self._frame.au_to_ned(self._waypoint_au)))
+        here_m = pose.position_ned_m[:2]
+        goal_m = _point(self._frame.au_to_ned(self._waypoint_au))
+        home = self._is_heading_home
+        for place_m in self._routes.home(here_m) if home else self._routes.to(here_m, goal_m):
+            self._carrot.extend(place_m)
         self._got_to_m = 0.0
 
     async def _guide(self) -> None:
         while True:
             pose = await self._link.next_pose()
             last, self._last_pose = self._last_pose, pose
-            if last is not None and self.tally is not None:
+            if last is not None and self.tally is not None and not self._is_heading_home:
                 self.tally.move(last, pose)
             self._events.emit(Moved(pose=pose))
             duration_s = pose.time_s - self._last_setpoint_s
@@ -186,9 +193,12 @@ class Patrol:
                 is_off_path=self._is_off_path(pose),
                 is_stuck=self._is_stuck(pose),
                 is_blind=self._observer.is_blind(pose.time_s),
+                is_home_around=not (self._routes.are_straight or self._is_there()),
             )
             if advice.action is not Action.GO_ON:
                 return
+            if advice.state is State.HEADING_HOME and not self._is_heading_home:
+                self._head_home()
             self._last_setpoint_s = pose.time_s
             if self._link.state.num_resets != self._num_resets:
                 self._events.note("position", "the estimate moved; so does the path", level="WARN")
@@ -198,9 +208,22 @@ class Patrol:
                 min(duration_s, 4 * SETPOINT_INTERVAL_S), pose.position_ned_m[:2]
             )
             await self._link.send_setpoint(self._setpoint(*motion))
+            if self._is_heading_home:
+                self._supervisor.report("to home")
+                continue
             self._ask_for_waypoint(pose)
             self._ask_for_picture(pose)
             self._supervisor.report("patrol" if self.tally else "to the start")
+
+    def _head_home(self) -> None:
+        """Leave the path for the way home."""
+        self._is_heading_home, self._is_waypoint_due, self._waiting_since = True, False, None
+        for place_m in self._routes.home(self._carrot.turn_off()):
+            self._carrot.extend(place_m)
+
+    def _is_there(self) -> bool:
+        """Whether all of its own way home is flown."""
+        return self._is_heading_home and self._carrot.remaining_m < _THERE_M
 
     def has_origin_moved(self) -> bool:
         """Whether the vehicle's local frame lies elsewhere than when the area was laid."""
@@ -320,9 +343,11 @@ class Patrol:
         snapshot = self._snapshot(self.tally, now_s)
         num_measurements = len(snapshot.sightings)
         began = time.perf_counter()
-        waypoint, weights = await in_daemon_thread(
-            partial(self._decide, snapshot), f"planner '{self._setup.planner.name}'", PlannerError
-        )
+        planner = self._setup.planner
+        asked = partial(decide, planner, snapshot, self._waypoint_au, self._frame.arena)
+        waypoint, weights = await in_daemon_thread(asked, f"planner '{planner.name}'", PlannerError)
+        if self._is_heading_home:  # nobody flies there any more
+            return
         decision_ms = (time.perf_counter() - began) * 1e3
         waypoint_au = waypoint.position_au
         self._events.emit(
@@ -347,20 +372,6 @@ class Patrol:
         self._carrot.extend(_point(self._frame.au_to_ned(waypoint_au)))
         self._waypoint_au, self._node = waypoint_au, waypoint.node
 
-    def _decide(self, snapshot: Snapshot) -> tuple[Waypoint, Mapping[str, FloatArray | IntArray]]:
-        """The planner's choice, judged, and what it looked at; runs in a thread.
-
-        The waypoint's details are as they can be recorded.
-        """
-        planner = self._setup.planner
-        waypoint = planner.next_waypoint(snapshot)
-        if flaw := waypoint_flaw(waypoint, self._waypoint_au, self._frame.arena):
-            raise PlannerError(f"planner '{planner.name}' gave {flaw}")
-        details = {str(name): json_value(value) for name, value in waypoint.details.items()}
-        position_au = self._frame.arena.clip_free(waypoint.position_au)
-        waypoint = Waypoint(position_au=position_au, node=waypoint.node, details=details)
-        return waypoint, _weights(planner)
-
     def _snapshot(self, tally: Tally, now_s: float) -> Snapshot:
         """What the planner is told, as it will be at the waypoint that the drone is about to reach.
 
@@ -380,14 +391,6 @@ class Patrol:
             roadmap=self._roadmap,
             remaining_au=max(self._mission.horizon_au - flown_au, 0.0),
         )
-
-
-def _weights(planner: Planner) -> Mapping[str, FloatArray | IntArray]:
-    """What it looked at, if it says so: a failure costs those who watch, and not the flight."""
-    if isinstance(planner, Explaining):
-        with contextlib.suppress(Exception):
-            return planner.explanation().arrays()
-    return {}
 
 
 def _point(north_east_m: FloatArray) -> Point:

@@ -278,7 +278,11 @@ class Supervisor:
 
     def _change(self, advice: Advice) -> None:
         """Tell of a new state, and let go of the vehicle where it is in other hands."""
-        if self.state in MISSION and advice.state in {*HOMEWARD, State.ENDED}:
+        is_over = advice.state in {State.HEADING_HOME, *HOMEWARD, State.ENDED}
+        if self.state is State.HEADING_HOME and is_over:  # what it came to is known
+            if (error := self._error(advice.reason)) is not None:
+                self._telling.problem("failure", error)
+        elif self.state in MISSION and is_over:
             self._leave_mission(_OUTCOMES.get(advice.reason, "failed"), self._error(advice.reason))
             if advice.reason in {Reason.BATTERY_LOW, Reason.TIME_UP}:
                 self._events.note("battery", f"{advice.reason}: {self._battery}")
@@ -321,7 +325,7 @@ class Supervisor:
         """The error that ends a mission for this reason; None if it is none."""
         if self._setback is not Setback.NONE:
             return self._problem
-        if reason in _OUTCOMES:
+        if reason in _OUTCOMES or reason is Reason.THERE:
             return None
         if reason is Reason.PLANNER_LATE:
             return PlannerError(
