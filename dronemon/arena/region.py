@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from shapely import Polygon
+from shapely import GeometryType, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from dronemon.types import BoolArray, FloatArray
@@ -47,6 +47,23 @@ class Region:
         nearest = shapely.shortest_line(self.shape, shapely.points(clipped[is_out]))
         clipped[is_out] = shapely.get_coordinates(shapely.get_point(nearest, 0))
         return clipped
+
+    def chords(self, lines_au: FloatArray) -> FloatArray:
+        """Parts of straight lines that are inside, start and end each. (k, 2, 2) -> (m, 2, 2)."""
+        inside = shapely.intersection(self.shape, shapely.linestrings(lines_au))
+        parts = shapely.get_parts(inside)
+        parts = parts[shapely.get_type_id(parts) == GeometryType.LINESTRING]
+        ends = [shapely.get_coordinates(shapely.get_point(parts, at)) for at in (0, -1)]
+        return np.stack(ends, axis=1)
+
+    def beyond(self, track_au: FloatArray, distance_au: float) -> FloatArray:
+        """Places inside that are so far from a track, one in each part of them.
+
+        track_au: (k, 2) au -> (m, 2) au
+        """
+        near = shapely.LineString(track_au).buffer(distance_au)
+        parts = shapely.get_parts(self.shape.difference(near))
+        return shapely.get_coordinates(shapely.point_on_surface(parts))
 
     def shrunk(self, margin_au: float) -> Region | None:
         """What is so far inside, the largest part of it; None if there is none."""
