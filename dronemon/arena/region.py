@@ -56,12 +56,13 @@ class Region:
         ends = [shapely.get_coordinates(shapely.get_point(parts, at)) for at in (0, -1)]
         return np.stack(ends, axis=1)
 
-    def beyond(self, track_au: FloatArray, distance_au: float) -> FloatArray:
-        """Places inside that are so far from a track, one in each part of them.
+    def beyond(self, lines_au: FloatArray, distance_au: float) -> FloatArray:
+        """Places inside that are so far from all lines, one in each part of what is.
 
-        track_au: (k, 2) au -> (m, 2) au
+        lines_au: (k, 2, 2) au start and end of each -> (m, 2) au
         """
-        near = shapely.LineString(track_au).buffer(distance_au)
+        # One by one: around a line that turns back on itself shapely forgets the end of it.
+        near = shapely.union_all(shapely.buffer(shapely.linestrings(lines_au), distance_au))
         parts = shapely.get_parts(self.shape.difference(near))
         return shapely.get_coordinates(shapely.point_on_surface(parts))
 

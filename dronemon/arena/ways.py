@@ -36,7 +36,9 @@ class Ways:
 
     def distances(self, starts_au: FloatArray, ends_au: FloatArray) -> FloatArray:
         """Lengths of the shortest ways, infinite to and from outside. (n, 2), (m, 2) -> (n, m)."""
-        out, back = (self._straight(places_au, self.corners_au) for places_au in (starts_au, ends_au))
+        out, back = (
+            self._straight(places_au, self.corners_au) for places_au in (starts_au, ends_au)
+        )
         lengths = self._straight(starts_au, ends_au)
         for row in np.flatnonzero(np.isinf(lengths).any(axis=1)):
             by_corner = (out[row, :, None] + self.distance_au).min(axis=0, initial=np.inf)

@@ -12,7 +12,6 @@ traveling salesman problem".
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
@@ -34,8 +33,8 @@ def covering_track(arena: Arena, spacing_au: float) -> FloatArray:
     lanes_au = _fewest_lanes(arena.free, spacing_au)
     while True:
         track_au = _joined(arena, lanes_au)
-        closed_au = np.concatenate([track_au, track_au[:1]])
-        missed_au = arena.free.beyond(closed_au, 0.75 * spacing_au)
+        legs_au = np.stack([track_au, np.roll(track_au, -1, axis=0)], axis=1)
+        missed_au = arena.free.beyond(legs_au, 0.75 * spacing_au)
         if not len(missed_au):
             return track_au
         lanes_au = np.concatenate([lanes_au, np.stack([missed_au, missed_au], axis=1)])
@@ -56,7 +55,9 @@ def _lanes(free: Region, bearing_rad: float, spacing_au: float) -> FloatArray:
     (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
     count = math.ceil((top - bottom) / spacing_au - 1e-9)
     across = bottom + (np.arange(count) + 0.5) * (top - bottom) / count
-    lines = np.stack([np.stack([np.full(count, x), across], axis=-1) for x in (left, right)], axis=1)
+    lines = np.stack(
+        [np.stack([np.full(count, x), across], axis=-1) for x in (left, right)], axis=1
+    )
     chords = free.chords(lines @ axes)
     lengths = np.linalg.norm(chords[:, 1] - chords[:, 0], axis=-1)
     cut = np.minimum(0.5 * spacing_au / lengths, 0.4)[:, None]
