@@ -56,15 +56,19 @@ class Region:
         ends = [shapely.get_coordinates(shapely.get_point(parts, at)) for at in (0, -1)]
         return np.stack(ends, axis=1)
 
-    def beyond(self, lines_au: FloatArray, distance_au: float) -> FloatArray:
-        """Places inside that are so far from all lines, one in each part of what is.
+    def missed(self, lines_au: FloatArray, distance_au: float) -> FloatArray:
+        """Places inside so that none is farther from both lines and places than a distance.
 
-        lines_au: (k, 2, 2) au start and end of each -> (m, 2) au
+        lines_au: (k, 2, 2) au start and end of each -> (m, 2) au, none where lines are enough
         """
-        # One by one: around a line that turns back on itself shapely forgets the end of it.
-        near = shapely.union_all(shapely.buffer(shapely.linestrings(lines_au), distance_au))
-        parts = shapely.get_parts(self.shape.difference(near))
-        return shapely.get_coordinates(shapely.point_on_surface(parts))
+        places, rest, new = [np.empty((0, 2))], self.shape, shapely.linestrings(lines_au)
+        while len(new):
+            # One by one: around a line that turns back on itself shapely forgets the end of it.
+            rest = rest.difference(shapely.union_all(shapely.buffer(new, distance_au)))
+            new = shapely.point_on_surface(shapely.get_parts(rest))
+            new = new[~shapely.is_empty(new)]
+            places.append(shapely.get_coordinates(new))
+        return np.concatenate(places)
 
     def shrunk(self, margin_au: float) -> Region | None:
         """What is so far inside, the largest part of it; None if there is none."""

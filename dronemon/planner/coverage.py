@@ -12,6 +12,7 @@ traveling salesman problem".
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,6 +25,7 @@ _BONDED_AU = -1e3
 """Taken for the distance between a lane's ends, so that no tour leaves out its flight."""
 
 
+@lru_cache(maxsize=8)
 def covering_track(arena: Arena, spacing_au: float) -> FloatArray:
     """Corners of a closed track near to every place where the agent may be. -> (C, 2) au.
 
@@ -34,8 +36,9 @@ def covering_track(arena: Arena, spacing_au: float) -> FloatArray:
     while True:
         track_au = _joined(arena, lanes_au)
         legs_au = np.stack([track_au, np.roll(track_au, -1, axis=0)], axis=1)
-        missed_au = arena.free.beyond(legs_au, 0.75 * spacing_au)
+        missed_au = arena.free.missed(legs_au, 0.75 * spacing_au)
         if not len(missed_au):
+            track_au.setflags(write=False)  # all that ask share it
             return track_au
         lanes_au = np.concatenate([lanes_au, np.stack([missed_au, missed_au], axis=1)])
 

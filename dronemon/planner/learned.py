@@ -63,8 +63,8 @@ class LearnedPlanner:
         """
         if briefing.arena != ARENA:
             raise PlannerError(
-                f"planner {self.name} was trained in the square of side 1 au and flies nowhere else; "
-                "search, tsp and lawnmower fly any field"
+                f"planner {self.name} was trained in the square of side 1 au and flies in no "
+                "other field; search, tsp and lawnmower fly in any"
             )
         num_eigenvectors = self._network.config.num_eigenvectors
         self._nodes_au = roadmap.nodes_au
