@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from arenas import HOLED, U
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.belief import Belief
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, PlannerError
 from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import (
     Briefing,
@@ -31,8 +32,8 @@ from dronemon.policy import Card, NetworkConfig, PolicyNetwork, save_checkpoint
 from dronemon.problem import Prior
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
-from dronemon.types import Measurement
-from dronemon.world import Instance, TargetPaths, measure
+from dronemon.types import FloatArray, Measurement
+from dronemon.world import Instance, TargetPaths, measure, sample_leg
 
 Make = Callable[[], Planner]
 CARD = Card(recipe="none", command="", commit="", date="", seeds="")
@@ -187,6 +188,86 @@ def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
     steps_au = np.linalg.norm(np.diff(episode.agent_au, axis=0), axis=1)
     assert steps_au.max() <= 0.1 + 1e-9
     assert len(np.unique(episode.agent_au.round(3), axis=0)) > 10
+
+
+def roadmap_in(arena: Arena, start_au: FloatArray) -> Roadmap:
+    """Sixty nodes, each joined to the nearest ones to which the straight way is free."""
+    nodes_au = np.concatenate([start_au[None], arena.sample_free(60, np.random.default_rng(2))])
+    distance_au = np.linalg.norm(nodes_au[:, None] - nodes_au, axis=-1)
+    distance_au[~arena.free.is_free(nodes_au[:, None], nodes_au)] = np.inf
+    nearest = np.argsort(distance_au, axis=1)[:, :8]
+    is_edge = np.isfinite(np.take_along_axis(distance_au, nearest, axis=1))
+    return Roadmap(nodes_au=nodes_au, neighbours=np.where(is_edge, nearest, nearest[:, :1]))
+
+
+class Flight:
+    """A planner on its way in a field of any form, past targets that go in circles."""
+
+    def __init__(self, planner: Planner, arena: Arena, priors_au: FloatArray) -> None:
+        self._planner, self._arena = planner, arena
+        self._centres_au = arena.sample(len(priors_au), np.random.default_rng(3))
+        self.place_au = arena.sample_free(1, np.random.default_rng(4))[0]
+        self._roadmap = roadmap_in(arena, self.place_au)
+        self._node: int | None = 0
+        self._time_au = self._residual_au = 0.0
+        self._sightings = Sightings(priors_au)
+        self._belief = Belief(self._sightings)
+        if isinstance(planner, Clairvoyant):
+            planner.foresee(self._targets_at)
+        briefing = Briefing(
+            num_targets=len(priors_au),
+            priors_au=priors_au,
+            start_au=self.place_au,
+            horizon_au=30.0,
+            rng=np.random.default_rng(5),
+            arena=arena,
+        )
+        planner.reset(briefing, self._roadmap)
+
+    def _targets_at(self, times_au: FloatArray) -> FloatArray:
+        turns = times_au[:, None] + np.arange(len(self._centres_au))
+        off = 0.1 * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+        places_au: FloatArray = self._centres_au + off
+        return places_au
+
+    def step(self) -> Waypoint:
+        """Fly to the next waypoint, measuring on the way; it is checked."""
+        waypoint = self._planner.next_waypoint(
+            Snapshot(
+                time_au=self._time_au,
+                flown_au=self._time_au,
+                position_au=self.place_au,
+                node=self._node,
+                sightings=self._sightings,
+                belief=self._belief,
+                roadmap=self._roadmap,
+                remaining_au=30.0 - self._time_au,
+            )
+        )
+        assert waypoint_flaw(waypoint, self.place_au, self._arena) is None
+        leg = sample_leg(self.place_au, waypoint.position_au, self._residual_au)
+        for off_au, place_au in zip(leg.offsets_au, leg.positions_au, strict=True):
+            time_au = self._time_au + off_au
+            targets_au = self._targets_at(np.array([time_au]))[0]
+            self._sightings.add(measure(time_au, place_au, targets_au))
+        self._time_au += float(np.linalg.norm(waypoint.position_au - self.place_au))
+        self._residual_au, self._node = leg.residual_au, waypoint.node
+        self.place_au = waypoint.position_au
+        return waypoint
+
+
+@pytest.mark.parametrize("is_told", [True, False], ids=["known", "unknown"])
+@pytest.mark.parametrize("arena", [U, HOLED], ids=["U", "holed"])
+def test_every_leg_is_free_in_fields_of_any_form(make: Make, arena: Arena, is_told: bool) -> None:
+    planner, places_au = make(), arena.sample(3, np.random.default_rng(3))
+    priors_au = places_au if is_told else np.full((3, 2), np.nan)
+    if planner.name == "stamp":
+        with pytest.raises(PlannerError, match="search, tsp and lawnmower fly"):
+            Flight(planner, arena, priors_au)
+        return
+    flight = Flight(planner, arena, priors_au)
+    places = np.array([flight.step().position_au for _ in range(60)])
+    assert len(np.unique(places.round(6), axis=0)) > 10
 
 
 @pytest.mark.parametrize(
