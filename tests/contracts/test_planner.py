@@ -191,13 +191,15 @@ def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
 
 
 def roadmap_in(arena: Arena, start_au: FloatArray) -> Roadmap:
-    """Sixty nodes, each joined to the nearest ones to which the straight way is free."""
+    """Sixty nodes, each joined to the nearest of those to which the straight way is free."""
     nodes_au = np.concatenate([start_au[None], arena.sample_free(60, np.random.default_rng(2))])
     distance_au = np.linalg.norm(nodes_au[:, None] - nodes_au, axis=-1)
     distance_au[~arena.free.is_free(nodes_au[:, None], nodes_au)] = np.inf
-    nearest = np.argsort(distance_au, axis=1)[:, :8]
+    nearest = np.argsort(distance_au, axis=1)[:, :25]
     is_edge = np.isfinite(np.take_along_axis(distance_au, nearest, axis=1))
-    return Roadmap(nodes_au=nodes_au, neighbours=np.where(is_edge, nearest, nearest[:, :1]))
+    roadmap = Roadmap(nodes_au=nodes_au, neighbours=np.where(is_edge, nearest, nearest[:, :1]))
+    assert np.isfinite(roadmap.distance_au).all()
+    return roadmap
 
 
 class Flight:
