@@ -61,11 +61,13 @@ class Region:
 
         lines_au: (k, 2, 2) au start and end of each -> (m, 2) au, none where lines are enough
         """
-        places, rest, new = [np.empty((0, 2))], self.shape, shapely.linestrings(lines_au)
+        places = [np.empty((0, 2))]
+        rest: BaseGeometry = self.shape
+        new = np.asarray(shapely.linestrings(lines_au))
         while len(new):
             # One by one: around a line that turns back on itself shapely forgets the end of it.
             rest = rest.difference(shapely.union_all(shapely.buffer(new, distance_au)))
-            new = shapely.point_on_surface(shapely.get_parts(rest))
+            new = np.asarray(shapely.point_on_surface(shapely.get_parts(rest)))
             new = new[~shapely.is_empty(new)]
             places.append(shapely.get_coordinates(new))
         return np.concatenate(places)

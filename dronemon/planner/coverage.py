@@ -78,4 +78,5 @@ def _joined(arena: Arena, lanes_au: FloatArray) -> FloatArray:
     legs = zip(order, np.roll(order, -1), strict=True)
     track_au = np.concatenate([arena.way(ends_au[a], ends_au[b]) for a, b in legs])
     apart_au = np.linalg.norm(track_au - np.roll(track_au, 1, axis=0), axis=-1)
-    return track_au[apart_au > ARRIVED_AU]
+    distinct_au: FloatArray = track_au[apart_au > ARRIVED_AU]
+    return distinct_au

@@ -32,7 +32,8 @@ def sweep_track(arena: Arena = ARENA) -> FloatArray:
     """
     if not arena.is_rectangle:
         return covering_track(arena, LANE_SPACING_AU)
-    return arena.bounds[0] + arena.extent_au * _closed_sweep(*arena.extent_au)
+    track_au: FloatArray = arena.bounds[0] + arena.extent_au * _closed_sweep(*arena.extent_au)
+    return track_au
 
 
 def _closed_sweep(width_au: float, height_au: float) -> FloatArray:

@@ -74,4 +74,6 @@ def orbit(position_au: FloatArray, centre_au: FloatArray, arena: Arena) -> Float
     around = ORBIT_RADIUS_AU * np.array([[math.cos(b), math.sin(b)] for b in bearings])
     corners = arena.clip_free(centre + around)
     away = np.linalg.norm(corners - position_au, axis=-1)
-    return corners[np.argmax(away > min(ORBIT_RADIUS_AU / 2.0, 0.99 * away.max()))]
+    is_far = away > min(ORBIT_RADIUS_AU / 2.0, 0.99 * away.max())
+    corner: FloatArray = corners[np.argmax(is_far)]
+    return corner

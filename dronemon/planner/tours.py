@@ -54,7 +54,7 @@ def short_path(distances_au: FloatArray) -> IntArray:
         change = along[:-1, :-1] + along[1:, 1:] - legs[:, None] - legs[None]
         change[~is_pair] = 0.0
         first, second = divmod(int(np.argmin(change)), num_legs)
-        if change[first, second] > -1e-9:
+        if not change[first, second] < -1e-9:  # nor where it is no number, for no way leads there
             return order
         order[first + 1 : second + 1] = order[first + 1 : second + 1][::-1]
 
