@@ -191,6 +191,17 @@ class Arena:
         is_there = bool(self.free.contains(start_au))
         return way_au if is_there else np.concatenate([begin_au[None], way_au])
 
+    def distances(self, starts_au: FloatArray, ends_au: FloatArray) -> FloatArray:
+        """Lengths of the shortest ways. (n, 2), (m, 2) au -> (n, m) au.
+
+        Of a place where the agent may not be the nearest where it may counts.
+        """
+        starts_au, ends_au = self.clip_free(starts_au), self.clip_free(ends_au)
+        if not self.is_rectangle:
+            return self.ways.distances(starts_au, ends_au)
+        lengths: FloatArray = np.linalg.norm(starts_au[:, None] - ends_au, axis=-1)
+        return lengths
+
     def places(self, shares: FloatArray) -> FloatArray:
         """Spread even draws evenly over the area. shares: (..., 2) in [0, 1) -> (..., 2) au."""
         if not self.is_rectangle:

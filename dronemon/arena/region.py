@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from shapely import Polygon
+from shapely import GeometryType, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from dronemon.types import BoolArray, FloatArray
@@ -58,6 +58,30 @@ class Region:
         """Centre (2,) au and radius of the largest circle inside, to a thousandth or so."""
         radius = shapely.maximum_inscribed_circle(self.shape)
         return shapely.get_coordinates(radius)[0], float(shapely.length(radius))
+
+    def chords(self, lines_au: FloatArray) -> FloatArray:
+        """Parts of straight lines that are inside, start and end each. (k, 2, 2) -> (m, 2, 2)."""
+        inside = shapely.intersection(self.shape, shapely.linestrings(lines_au))
+        parts = shapely.get_parts(inside)
+        parts = parts[shapely.get_type_id(parts) == GeometryType.LINESTRING]
+        ends = [shapely.get_coordinates(shapely.get_point(parts, at)) for at in (0, -1)]
+        return np.stack(ends, axis=1)
+
+    def missed(self, lines_au: FloatArray, distance_au: float) -> FloatArray:
+        """Places inside so that none is farther from both lines and places than a distance.
+
+        lines_au: (k, 2, 2) au start and end of each -> (m, 2) au, none where lines are enough
+        """
+        places = [np.empty((0, 2))]
+        rest: BaseGeometry = self.shape
+        new = np.asarray(shapely.linestrings(lines_au))
+        while len(new):
+            # One by one: around a line that turns back on itself shapely forgets the end of it.
+            rest = rest.difference(shapely.union_all(shapely.buffer(new, distance_au)))
+            new = np.asarray(shapely.point_on_surface(shapely.get_parts(rest)))
+            new = new[~shapely.is_empty(new)]
+            places.append(shapely.get_coordinates(new))
+        return np.concatenate(places)
 
     def shrunk(self, margin_au: float) -> Region | None:
         """What is so far inside, the largest part of it; None if there is none."""

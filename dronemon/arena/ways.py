@@ -28,13 +28,29 @@ class Ways:
         self.corners_au = np.concatenate([_turning_points(ring) for ring in region.rings])
         self.corners_au = self.corners_au[region.contains(self.corners_au)]
         count = len(self.corners_au)
-        starts, ends = self.corners_au[:, None], self.corners_au
-        straight = np.linalg.norm(starts - ends, axis=-1)
-        straight[~region.is_free(starts, ends).reshape(count, count)] = np.inf
+        straight = self._straight(self.corners_au, self.corners_au)
         self.distance_au, towards = shortest_path(straight, return_predecessors=True)
         # Undirected: what comes last on the way there comes first on the way back.
         self.next_corner: IntArray = np.ascontiguousarray(towards.T, dtype=np.int64)
         np.fill_diagonal(self.next_corner, np.arange(count))
+
+    def distances(self, starts_au: FloatArray, ends_au: FloatArray) -> FloatArray:
+        """Lengths of the shortest ways, infinite to and from outside. (n, 2), (m, 2) -> (n, m)."""
+        out, back = (
+            self._straight(places_au, self.corners_au) for places_au in (starts_au, ends_au)
+        )
+        lengths = self._straight(starts_au, ends_au)
+        for row in np.flatnonzero(np.isinf(lengths).any(axis=1)):
+            by_corner = (out[row, :, None] + self.distance_au).min(axis=0, initial=np.inf)
+            around = (by_corner + back).min(axis=1, initial=np.inf)
+            lengths[row] = np.minimum(lengths[row], around)
+        return lengths
+
+    def _straight(self, starts_au: FloatArray, ends_au: FloatArray) -> FloatArray:
+        """Straight distances, infinite where they are not free. (n, 2), (m, 2) -> (n, m)."""
+        lengths: FloatArray = np.linalg.norm(starts_au[:, None] - ends_au, axis=-1)
+        lengths[~self._region.is_free(starts_au[:, None], ends_au)] = np.inf
+        return lengths
 
     def way(self, start_au: FloatArray, end_au: FloatArray) -> FloatArray:
         """Places to fly to straight, one after the other, the end last. (2,), (2,) -> (K, 2) au.

@@ -11,7 +11,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief
+from dronemon.errors import PlannerError
 from dronemon.planner.planner import Briefing, Snapshot, Waypoint
 from dronemon.policy import (
     Checkpoint,
@@ -55,7 +57,15 @@ class LearnedPlanner:
         return cls(loaded, history=DEFAULT_HISTORY if history is None else history)
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
-        """Forget the last mission's history and encode the new roadmap."""
+        """Forget the last mission's history and encode the new roadmap.
+
+        Raises PlannerError for a field other than that which its features and its training know.
+        """
+        if briefing.arena != ARENA:
+            raise PlannerError(
+                f"planner {self.name} was trained in the square of side 1 au and flies in no "
+                "other field; search, tsp and lawnmower fly in any"
+            )
         num_eigenvectors = self._network.config.num_eigenvectors
         self._nodes_au = roadmap.nodes_au
         self._graphs = Graphs.of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,9 +53,27 @@ def step_towards(position_au: FloatArray, goal_au: FloatArray, step_au: float) -
     return goal_au if distance <= step_au else position_au + offset * (step_au / distance)
 
 
+def way_length_au(here_au: FloatArray, way_au: FloatArray) -> float:
+    """Length of a way from here. here_au: (2,); way_au: (K, 2) places one after the other."""
+    return sum(
+        float(np.linalg.norm(to_au - at_au)) for at_au, to_au in pairwise([here_au, *way_au])
+    )
+
+
 def orbit(position_au: FloatArray, centre_au: FloatArray, arena: Arena) -> FloatArray:
-    """Next corner of a small hexagon around a point, for an agent that cannot stop. -> (2,)."""
+    """Next corner of a small hexagon around a place, for an agent that cannot stop. -> (2,).
+
+    It is moved to where there is room for it. Where there is none nearby, its corners are moved,
+    and one that is too near then is left out.
+    """
     centre = arena.clip_free(centre_au, ORBIT_RADIUS_AU)
+    if math.dist(centre, centre_au) > 2.0 * ORBIT_RADIUS_AU:
+        centre = centre_au
     offset = position_au - centre
-    bearing = math.atan2(offset[1], offset[0]) + ORBIT_STEP_RAD
-    return centre + ORBIT_RADIUS_AU * np.array([math.cos(bearing), math.sin(bearing)])
+    bearings = [math.atan2(offset[1], offset[0]) + ORBIT_STEP_RAD * step for step in range(1, 7)]
+    around = ORBIT_RADIUS_AU * np.array([[math.cos(b), math.sin(b)] for b in bearings])
+    corners = arena.clip_free(centre + around)
+    away = np.linalg.norm(corners - position_au, axis=-1)
+    is_far = away > min(ORBIT_RADIUS_AU / 2.0, 0.99 * away.max())
+    corner: FloatArray = corners[np.argmax(is_far)]
+    return corner

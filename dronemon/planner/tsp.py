@@ -13,24 +13,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
-from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dronemon.arena import Arena
-from dronemon.planner.lawnmower import Sweep, sweep_length_au, sweep_track
-from dronemon.planner.motion import orbit, step_towards, until_measurement_au
+from dronemon.planner.lawnmower import Sweep, sweep_length_au
+from dronemon.planner.motion import orbit, step_towards, until_measurement_au, way_length_au
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
+from dronemon.planner.tours import shortest_loop
 from dronemon.types import FloatArray, IntArray
-from dronemon.world.targets import short_path_order
 
 if TYPE_CHECKING:
     from dronemon.roadmap import Roadmap
 
-EXACT_POINTS = 8
-"""Most points whose shortest loop is sought among all."""
 REACHED_AU = 1e-3
 """Distance at which a target's place counts as visited."""
 INTERCEPT_ROUNDS = 4
@@ -64,7 +60,7 @@ class TspLoop:
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the loop."""
         self._arena = briefing.arena
-        self._sweep = Sweep(track_au=sweep_track(briefing.arena))
+        self._sweep = Sweep(briefing.arena)
         self._sweep_until_au = (
             0.0 if briefing.num_targets else sweep_length_au(self._sweep.track_au)
         )
@@ -82,8 +78,8 @@ class TspLoop:
             or np.isnan(places_au).any()
             or snapshot.flown_au < self._sweep_until_au
         ):
-            corner_au = self._sweep.next_corner(here_au)
-            return Waypoint(position_au=step_towards(here_au, corner_au, step_au))
+            place_au = self._sweep.next_place(here_au)
+            return Waypoint(position_au=step_towards(here_au, place_au, step_au))
         was_seen = any(m.seen.any() for m in snapshot.sightings.since(self._num_read))
         self._num_read = len(snapshot.sightings)
         if was_seen or len(self._loop) != len(places_au):
@@ -96,8 +92,9 @@ class TspLoop:
             self._goal = _successor(self._loop, self._goal)
         else:  # all of them are here
             meeting_au = orbit(here_au, meeting_au, self._arena)
+        way_au = self._arena.way(here_au, meeting_au)
         return Waypoint(
-            position_au=step_towards(here_au, meeting_au, step_au),
+            position_au=step_towards(here_au, way_au[0], step_au),
             details={"goal": self._goal, "loop": self._loop.tolist()},
         )
 
@@ -107,47 +104,23 @@ class TspLoop:
 
     def _plan(self, places_au: FloatArray, here_au: FloatArray) -> None:
         """Find the shortest loop; a first one begins with the nearest target."""
-        loop = shortest_loop(places_au)
+        loop = shortest_loop(self._arena.distances(places_au, places_au))
         if len(self._loop) == len(loop):
             backwards = loop[::-1]
             if _shared_steps(self._loop, backwards) > _shared_steps(self._loop, loop):
                 loop = backwards
         else:
-            self._goal = int(np.linalg.norm(places_au - here_au, axis=-1).argmin())
+            self._goal = int(self._arena.distances(here_au[None], places_au)[0].argmin())
         self._loop = loop
 
     def _meeting_point(self, snapshot: Snapshot) -> FloatArray:
-        """Where the goal is met if we fly straight there. -> (2,)."""
-        arrival_au = snapshot.time_au
+        """Where the goal is met if we fly there by the shortest way. -> (2,)."""
+        here_au, arrival_au = snapshot.position_au, snapshot.time_au
         for _ in range(INTERCEPT_ROUNDS):
             meeting_au: FloatArray = self._places(arrival_au)[self._goal]
-            distance_au = float(np.linalg.norm(meeting_au - snapshot.position_au))
+            distance_au = way_length_au(here_au, self._arena.way(here_au, meeting_au))
             arrival_au = snapshot.time_au + distance_au
         return meeting_au
-
-
-@cache
-def _all_loops(count: int) -> IntArray:
-    """Every order that begins with 0. -> ((count - 1)!, count)."""
-    return np.array([(0, *rest) for rest in permutations(range(1, count))], dtype=np.int64)
-
-
-def shortest_loop(points_au: FloatArray) -> IntArray:
-    """Order of a shortest closed tour that begins with point 0. points_au: (N, 2) -> (N,) indices.
-
-    Exact for up to eight points; for more, nearest neighbour and 2-opt on the open path from
-    point 0 back to itself.
-    """
-    count = len(points_au)
-    if count > EXACT_POINTS:
-        order = short_path_order(np.concatenate([points_au[:1], points_au]))
-        loop: IntArray = np.maximum(order[:-1] - 1, 0)
-        return loop
-    distances = np.linalg.norm(points_au[:, None] - points_au[None], axis=-1)
-    loops = _all_loops(count)
-    lengths = distances[loops, np.roll(loops, -1, axis=1)].sum(axis=1)
-    shortest: IntArray = loops[np.argmin(lengths)]
-    return shortest
 
 
 def _successor(loop: IntArray, target: int) -> int:

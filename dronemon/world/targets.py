@@ -125,39 +125,43 @@ def inside(places_au: FloatArray, arena: Arena) -> FloatArray:
     return np.concatenate([places_au[:1], *legs])
 
 
-def short_path_order(points_au: FloatArray) -> IntArray:
+def short_path(distances_au: FloatArray) -> IntArray:
     """Order of a short open path from the first point to the second: nearest neighbour and 2-opt.
 
     Only correctly rounded elementwise operations decide, so the order is the same on any machine.
 
-    points_au: (P, 2) -> (P,) indices, 0 first and 1 last
+    distances_au: (P, P) -> (P,) indices, 0 first and 1 last
     """
-    offsets = points_au[:, None] - points_au[None]
-    distances = np.sqrt(offsets[..., 0] ** 2 + offsets[..., 1] ** 2)
-    order = _nearest_neighbour_order(distances)
+    order = _nearest_neighbour_order(distances_au)
     num_legs = len(order) - 1
     is_pair = np.triu(np.ones((num_legs, num_legs), dtype=bool), k=2)
     while True:
-        along = distances[np.ix_(order, order)]
+        along = distances_au[np.ix_(order, order)]
         legs = along[np.arange(num_legs), np.arange(1, num_legs + 1)]
         # Cutting legs i and j and walking what lies between them backwards.
         change = along[:-1, :-1] + along[1:, 1:] - legs[:, None] - legs[None]
         change[~is_pair] = 0.0
         first, second = divmod(int(np.argmin(change)), num_legs)
-        if change[first, second] > -1e-9:
+        if not change[first, second] < -1e-9:  # nor where it is no number, for no way leads there
             return order
         order[first + 1 : second + 1] = order[first + 1 : second + 1][::-1]
 
 
-def _nearest_neighbour_order(distances: FloatArray) -> IntArray:
+def _nearest_neighbour_order(distances_au: FloatArray) -> IntArray:
     """Order from point 0, always to the nearest point left, point 1 last. (P, P) -> (P,)."""
-    count = len(distances)
+    count = len(distances_au)
     is_left = np.ones(count, dtype=bool)
     is_left[:2] = False
     order = np.zeros(count, dtype=np.int64)
     order[-1] = 1
     for position in range(1, count - 1):
-        nearest = int(np.argmin(np.where(is_left, distances[order[position - 1]], np.inf)))
+        nearest = int(np.argmin(np.where(is_left, distances_au[order[position - 1]], np.inf)))
         order[position] = nearest
         is_left[nearest] = False
     return order
+
+
+def short_path_order(points_au: FloatArray) -> IntArray:
+    """What `short_path` gives of places, by straight distances. (P, 2) -> (P,) indices."""
+    offsets = points_au[:, None] - points_au[None]
+    return short_path(np.sqrt(offsets[..., 0] ** 2 + offsets[..., 1] ** 2))

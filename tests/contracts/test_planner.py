@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from arenas import HOLED, U
 
-from dronemon.arena import ARENA
+from dronemon.arena import ARENA, Arena
 from dronemon.belief import Belief
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, PlannerError
 from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.planner import (
     Briefing,
@@ -187,6 +188,22 @@ def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
     steps_au = np.linalg.norm(np.diff(episode.agent_au, axis=0), axis=1)
     assert steps_au.max() <= 0.1 + 1e-9
     assert len(np.unique(episode.agent_au.round(3), axis=0)) > 10
+
+
+@pytest.mark.parametrize(
+    ("arena", "prior"), [(U, "full"), (HOLED, "number")], ids=["U-full", "holed-number"]
+)
+def test_every_leg_is_free_in_fields_of_any_form(make: Make, arena: Arena, prior: Prior) -> None:
+    """That each waypoint can be flown to is checked by the episode."""
+    planner, instance = make(), Instance.draw(10_004, 3, "loop", arena=arena)
+    in_field = Conditions(speed_ratio=0.1, prior=prior, horizon_au=2.0, num_nodes=60)
+    if planner.name == "stamp":
+        with pytest.raises(PlannerError, match="search, tsp and lawnmower fly"):
+            fly_episode(planner, instance, in_field)
+        return
+    episode = fly_episode(planner, instance, in_field)
+    assert arena.free.contains(episode.agent_au).all()
+    assert len(np.unique(episode.agent_au.round(6), axis=0)) > 10
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise, permutations
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dronemon.arena import ARENA
 from dronemon.belief import Belief
@@ -17,17 +15,12 @@ from dronemon.planner.tsp import (
     carried_on,
     last_seen,
     predicted,
-    shortest_loop,
 )
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
 
 ROADMAP = Roadmap.random(10, 4, np.random.default_rng(0), np.array([0.5, 0.5]))
-
-
-def loop_length_au(points_au: FloatArray) -> float:
-    return float(np.linalg.norm(points_au - np.roll(points_au, 1, axis=0), axis=1).sum())
 
 
 def briefing(priors_au: FloatArray) -> Briefing:
@@ -72,26 +65,6 @@ class Told:
             roadmap=ROADMAP,
             remaining_au=30.0 - time_au,
         )
-
-
-@settings(max_examples=20)
-@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
-def test_loop_of_few_points_is_the_shortest(seed: int, count: int) -> None:
-    points_au = np.random.default_rng(seed).random((count, 2))
-    best = min(loop_length_au(points_au[list(order)]) for order in permutations(range(count)))
-    assert loop_length_au(points_au[shortest_loop(points_au)]) == pytest.approx(best)
-
-
-@pytest.mark.parametrize("count", [8, 9, 12, 20])
-def test_loop_round_a_circle_is_the_circle(count: int) -> None:
-    angles = np.random.default_rng(count).permutation(2 * np.pi * np.arange(count) / count)
-    points_au = 0.5 + 0.4 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    order = shortest_loop(points_au)
-    assert order[0] == 0
-    assert sorted(order.tolist()) == list(range(count))
-    assert loop_length_au(points_au[order]) == pytest.approx(
-        2 * count * 0.4 * np.sin(np.pi / count)
-    )
 
 
 def test_goal_moves_with_its_target_and_is_skipped_where_it_is_not_found() -> None:
