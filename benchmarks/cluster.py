@@ -1,12 +1,12 @@
 """What sharing costs: `python benchmarks/cluster.py [--instances N] [--planner NAMES]`.
 
 Flies one small sweep by own processes, by a Ray started here and by two nodes of one, and prints
-the time of each run from the first result to the last, so that starting is left out, and how many
-times faster two workers are than one. The machine may be busy: ways take turns, a round at a time,
-and what is printed is the median of the rounds. Development seeds.
+the time of each run from the first result to the last, so that starting is left out, and the
+processor time of an episode, which a busy machine changes little. Ways take turns, a round at a
+time; what is printed is the median of the rounds. Development seeds.
 
 Then what a task costs those of whom a cluster has one, by tasks that do nothing but give back as
-many numbers as an episode: processor time, which a busy machine changes little. Needs psutil.
+many numbers as an episode. Needs psutil.
 """
 
 from __future__ import annotations
@@ -32,9 +32,11 @@ from dronemon.workers import share_out
 NUM_IDLE = 3000
 
 
-def fly(spec: EpisodeSpec) -> int:
-    """Fly an episode. -> measurements taken: next to nothing is sent back."""
-    return len(fly_spec(spec).agent_au)
+def fly(spec: EpisodeSpec) -> float:
+    """Fly an episode. -> processor time that it took: next to nothing is sent back."""
+    began_s = time.thread_time()
+    fly_spec(spec)
+    return time.thread_time() - began_s
 
 
 def idle(_: int) -> list[float]:
@@ -42,10 +44,15 @@ def idle(_: int) -> list[float]:
     return [0.1] * 600
 
 
-def taken_s(specs: list[EpisodeSpec], num_workers: int, cluster: Executor | None) -> float:
-    """Time from the first result on, per episode that came after it."""
-    done_s = [time.perf_counter() for _ in share_out(fly, specs, num_workers, cluster)]
-    return (done_s[-1] - done_s[0]) / (len(done_s) - 1)
+def taken_s(
+    specs: list[EpisodeSpec], num_workers: int, cluster: Executor | None
+) -> tuple[float, float]:
+    """Time from the first result on, per episode that came after it; processor time of one."""
+    done_s, spent = [], []
+    for spent_s in share_out(fly, specs, num_workers, cluster):
+        done_s.append(time.perf_counter())
+        spent.append(spent_s)
+    return (done_s[-1] - done_s[0]) / (len(done_s) - 1), statistics.median(spent)
 
 
 @contextmanager
@@ -64,7 +71,7 @@ def two_nodes() -> Iterator[Executor]:
         nodes.shutdown()
 
 
-def spent_s() -> dict[str, float]:
+def processor_s() -> dict[str, float]:
     """Processor time so far of this process, of Ray's head and of this node's manager."""
     us = psutil.Process()
     found = {p.name(): p for p in us.children(recursive=True)}
@@ -76,9 +83,9 @@ def print_cost() -> None:
     """What a task costs besides itself."""
     with join_cluster("local", 2) as cluster:
         list(share_out(idle, range(100), 2, cluster))  # so that workers are there
-        before_s, began_s = spent_s(), time.perf_counter()
+        before_s, began_s = processor_s(), time.perf_counter()
         list(share_out(idle, range(NUM_IDLE), 2, cluster))
-        took_s, after_s = time.perf_counter() - began_s, spent_s()
+        took_s, after_s = time.perf_counter() - began_s, processor_s()
     print(f"\na task that does nothing, of {NUM_IDLE}: {1e3 * took_s / NUM_IDLE:.2f} ms, of it")
     for name, spent in before_s.items():
         print(f"    {1e3 * (after_s[name] - spent) / NUM_IDLE:.2f} ms of processor, {name}")
@@ -100,7 +107,7 @@ def main() -> None:
             first_seed=FIRST_DEVELOPMENT_SEED,
         )
         specs = list(asked.episodes())
-    times_s: dict[tuple[str, int], list[float]] = {}
+    times_s: dict[tuple[str, int], list[tuple[float, float]]] = {}
     for _ in range(given.rounds):
         for num_workers in (1, 2):
             alone_s = taken_s(specs, num_workers, None)
@@ -110,13 +117,11 @@ def main() -> None:
             times_s.setdefault(("Ray", num_workers), []).append(shared_s)
         with two_nodes() as cluster:
             times_s.setdefault(("Ray, two nodes", 2), []).append(taken_s(specs, 2, cluster))
-    median_s = {key: statistics.median(values) for key, values in times_s.items()}
-    print("| by | workers | s an episode | of one process | of itself with one |")
-    print("|---|---|---|---|---|")
-    for (way, num_workers), each_s in median_s.items():
-        against = median_s["processes", 1] / each_s
-        alone = median_s[way.partition(",")[0], 1] / each_s
-        print(f"| {way} | {num_workers} | {each_s:.3f} | {against:.2f} | {alone:.2f} |")
+    print("| by | workers | s an episode | s of processor |")
+    print("|---|---|---|---|")
+    for (way, num_workers), rounds_s in times_s.items():
+        each_s, spent_s = map(statistics.median, zip(*rounds_s, strict=True))
+        print(f"| {way} | {num_workers} | {each_s:.3f} | {spent_s:.3f} |")
     print_cost()
 
 

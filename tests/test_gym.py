@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 from functools import partial
+from importlib import import_module
+from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import gymnasium
@@ -25,6 +28,7 @@ from dronemon.problem import FIRST_TRAINING_SEED, Prior
 from dronemon.roadmap import MAX_ADDED_NEIGHBOURS, Roadmap
 from dronemon.world import Instance
 
+PPO = Path(__file__).parents[1] / "examples" / "ppo.py"
 SPARSE = {"num_targets": 2, "num_nodes": 20, "num_neighbours": 3}
 """A roadmap that falls apart, so that edges are added and nodes have different numbers of them."""
 
@@ -280,8 +284,9 @@ def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setitem(sys.modules, name, None)
     for name in [n for n in sys.modules if n.startswith("dronemon.gym")]:
         monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(ImportError, match=r"pip install 'dronemon\[gym\]'"):
-        __import__("dronemon.gym")
+    for begin in (lambda: import_module("dronemon.gym"), lambda: run_path(str(PPO))):
+        with pytest.raises(ImportError, match=r"pip install 'dronemon\[gym\]'"):
+            begin()
 
 
 def test_a_picture_shows_the_agent_north_up() -> None:
