@@ -290,8 +290,13 @@ def fly(policy: Policy, seed: int) -> tuple[bool, int]:
     return bool(infos["drone0"]["Found"]), steps
 
 
+def told(values: FloatArray) -> str:
+    """Mean and standard error."""
+    return f"{values.mean():.1f} ± {values.std() / math.sqrt(len(values)):.1f}"
+
+
 def main() -> None:
-    """Fly all policies on the same seeds, and print a row for each."""
+    """Fly all policies on the same seeds, and print a row for each, and the last beside others."""
     parser = argparse.ArgumentParser(description="Our search on DSSE's task, one drone")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--first-seed", type=int, default=FIRST_DEVELOPMENT_SEED)
@@ -300,20 +305,24 @@ def main() -> None:
     seeds = range(given.first_seed, given.first_seed + given.episodes)
     print("| policy | found | steps to find, of those found | steps, at most 100 | ms a step |")
     print("|---|---|---|---|---|")
+    scores: dict[str, FloatArray] = {}
     for name in given.policies.split(","):
         began_s = time.perf_counter()
         flown = [fly(POLICIES[name](np.random.default_rng([seed, 1])), seed) for seed in seeds]
         took_s = time.perf_counter() - began_s
         found = np.array([is_found for is_found, _ in flown])
         steps = np.array([min(count, LIMIT_STEPS) for _, count in flown])
-        share, root = found.mean(), math.sqrt(len(flown))
+        scores[name] = np.stack([100.0 * found, steps])
         to_find = f"{steps[found].mean():.1f}" if found.any() else "-"
         print(
-            f"| {name} | {100 * share:.0f} ± {100 * math.sqrt(share * (1 - share)) / root:.0f} % "
-            f"| {to_find} | {steps.mean():.1f} ± {steps.std() / root:.1f} "
+            f"| {name} | {told(100.0 * found)} % | {to_find} | {told(steps)} "
             f"| {1e3 * took_s / steps.sum():.1f} |",
             flush=True,
         )
+    *others, last = scores
+    for name in others:
+        found, steps = map(told, scores[last] - scores[name])
+        print(f"{last} minus {name}, on the same seeds: {found} % found, {steps} steps")
 
 
 if __name__ == "__main__":

@@ -11,13 +11,12 @@ import importlib.util
 import time
 from pathlib import Path
 
+import dronemon.gym  # noqa: F401  # isort: skip  # registers NAME, or says what is missing
 import gymnasium
 import numpy as np
 import torch
 from torch import nn
 from torch.distributions import Categorical
-
-import dronemon.gym  # noqa: F401  # registers dronemon/Monitoring-v0
 
 METRICS = {
     "decisions": "taken in training so far, over all episodes; each update adds 2048",

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import gymnasium
@@ -16,11 +20,15 @@ from hypothesis import strategies as st
 
 from dronemon.env import Env, Observation, Setup
 from dronemon.errors import OptionError
+from dronemon.evaluation.episode import Conditions, fly_episode
+from dronemon.gym import Observer
 from dronemon.gym.monitoring import DECISIONS, NAME
-from dronemon.problem import FIRST_TRAINING_SEED
+from dronemon.planner import Briefing, Snapshot, Waypoint
+from dronemon.problem import FIRST_TRAINING_SEED, Prior
 from dronemon.roadmap import MAX_ADDED_NEIGHBOURS, Roadmap
 from dronemon.world import Instance
 
+PPO = Path(__file__).parents[1] / "examples" / "ppo.py"
 SPARSE = {"num_targets": 2, "num_nodes": 20, "num_neighbours": 3}
 """A roadmap that falls apart, so that edges are added and nodes have different numbers of them."""
 
@@ -181,11 +189,14 @@ def test_episodes_without_a_seed_are_those_for_training_and_follow_from_the_last
         ({"speed_ratio": 1.5}, "speed_ratio is 1.5; it can be 0 to 1"),
         ({"prior": "some"}, "prior is 'some'; it can be full, number or none"),
         ({"action": "turn"}, "action is 'turn'; it can be neighbour or waypoint"),
+        ({"num_target": 3}, "no term 'num_target'; did you mean num_targets"),
+        ({"bogus": 1}, "no term 'bogus'; it has num_targets, num_nodes, .*, num_threads$"),
     ],
 )
 def test_terms_that_cannot_be_are_explained(terms: dict[str, Any], words: str) -> None:
-    with pytest.raises(OptionError, match=words):
-        make(**terms)
+    for make_one in (make, partial(make_vec, 2)):
+        with pytest.raises(OptionError, match=words):
+            make_one(**terms)
 
 
 def test_what_cannot_be_asked_is_explained() -> None:
@@ -215,13 +226,67 @@ def test_what_cannot_be_asked_is_explained() -> None:
             free.step(np.array(place))
 
 
+class Wanderer:
+    """A planner that goes any way, and keeps what it observed and which ways it took."""
+
+    name = "wanderer"
+
+    def __init__(self) -> None:
+        self._observer, self._rng = Observer(), np.random.default_rng(0)
+
+    def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
+        self._observer.reset(briefing, roadmap)
+        self.shown: list[dict[str, Any]] = []
+        self.ways: list[int] = []
+
+    def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
+        self.shown.append(self._observer.observe(snapshot))
+        self.ways.append(int(self._rng.integers(len(self.shown[-1]["neighbour_mask"]))))
+        return self._observer.waypoint(self.ways[-1])
+
+
+@pytest.mark.parametrize(("prior", "num_neighbours"), [("full", 2), ("number", 3), ("none", 10)])
+def test_a_mission_is_observed_as_the_episode_of_its_seed(
+    prior: Prior, num_neighbours: int
+) -> None:
+    env = make(prior=prior, num_targets=3, num_neighbours=num_neighbours)
+    conditions = Conditions(
+        speed_ratio=0.1,
+        prior=prior,
+        horizon_au=6.0,
+        num_nodes=SPARSE["num_nodes"],
+        num_neighbours=num_neighbours,
+    )
+    planner = Wanderer()
+    for seed in (10_002, 10_000):  # one object flies many missions
+        fly_episode(planner, Instance.draw(seed, 3), conditions)
+        expected, _ = env.reset(seed=seed)
+        for shown, way in zip(planner.shown, planner.ways, strict=True):
+            columns = np.flatnonzero(expected["target_mask"])
+            if prior == "none":  # those known come in the order in which they were found
+                tracks = expected["tracks"][columns]
+                offset = np.abs(shown["tracks"][:, None] - tracks).sum(axis=2)
+                columns = columns[offset.argmin(axis=1)]
+                assert columns[-1] == 3  # the one imagined is the last
+            told = {
+                "belief": expected["belief"][:, columns],
+                "target_mask": expected["target_mask"][columns],
+                "tracks": expected["tracks"][columns],
+            }
+            assert_alike(shown, expected | told)
+            expected, *_ = env.step(way)
+        assert len(planner.shown) > 8
+        assert len(columns) > 1
+
+
 def test_without_gymnasium_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [n for n in sys.modules if n.partition(".")[0] == "gymnasium"]:
         monkeypatch.setitem(sys.modules, name, None)
     for name in [n for n in sys.modules if n.startswith("dronemon.gym")]:
         monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(ImportError, match=r"pip install 'dronemon\[gym\]'"):
-        __import__("dronemon.gym")
+    for begin in (lambda: import_module("dronemon.gym"), lambda: run_path(str(PPO))):
+        with pytest.raises(ImportError, match=r"pip install 'dronemon\[gym\]'"):
+            begin()
 
 
 def test_a_picture_shows_the_agent_north_up() -> None:

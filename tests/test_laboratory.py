@@ -7,6 +7,8 @@ import inspect
 import re
 import shlex
 import sys
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import gymnasium
@@ -16,34 +18,56 @@ from dronemon import cli
 from dronemon.gym import Episodes
 from dronemon.gym.monitoring import DECISIONS, NAME
 
-DOCS = Path(__file__).parents[1] / "docs"
-PAGE = (DOCS / "laboratory.md").read_text()
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "laboratory.md").read_text()
 COMMANDS = re.findall(r"(?m)^    dronemon (.*)$", PAGE)
+(TRAINING,) = re.findall(r"(?m)^    OMP_NUM_THREADS=1 python ppo.py --minutes 10 --out (.*)$", PAGE)
 PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
+LOOP, TRAINED = PYTHON.findall(PAGE)
+(PLANNER,) = PYTHON.findall((ROOT / "docs" / "your-own-planner.md").read_text())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where the page has been followed up to its commands, a policy trained but for a moment."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    (folder / "my_planner.py").write_text(PLANNER)
+    (folder / "trained.py").write_text(TRAINED)
+    (folder / "ppo.py").write_text((ROOT / "examples" / "ppo.py").read_text())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.syspath_prepend(folder)
+        import_module("ppo").train(0.001, Path(TRAINING), held_out=1)
+        yield folder
+    for name in ("my_planner", "trained", "ppo"):
+        sys.modules.pop(name, None)
 
 
 @pytest.mark.slow
-def test_the_planner_is_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (command,) = COMMANDS
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    (planner,) = PYTHON.findall((DOCS / "your-own-planner.md").read_text())
-    (tmp_path / "my_planner.py").write_text(planner)
-    monkeypatch.setattr(sys, "argv", ["dronemon", *shlex.split(command)])
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_does_what_it_says(
+    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = shlex.split(command)
+    monkeypatch.setattr(sys, "argv", ["dronemon", *arguments])
     with pytest.raises(SystemExit) as caught:
         cli.main()
-    sys.modules.pop("my_planner", None)
     assert not caught.value.code
-    folder = tmp_path / "runs" / "mine"
-    for name in ("table.md", "table.csv", "results.jsonl"):
-        assert "my_planner:Curious" in (folder / name).read_text()
-    with (folder / "paired.csv").open(newline="") as file:
-        assert len(list(csv.DictReader(file))) > 0
+    given = {name: arguments[arguments.index(name) + 1] for name in ("--out", "--planner")}
+    if arguments[0] == "evaluate":
+        for name in ("table.md", "table.csv", "results.jsonl"):
+            told = (folder / given["--out"] / name).read_text()
+            assert all(planner in told for planner in given["--planner"].split(","))
+        with (folder / given["--out"] / "paired.csv").open(newline="") as file:
+            assert len(list(csv.DictReader(file))) > 0
+    else:
+        assert arguments[0] == "fly"
+        assert (folder / given["--out"] / "decisions.jsonl").read_text()
 
 
-@pytest.mark.parametrize("code", PYTHON.findall(PAGE))
-def test_the_code_runs(code: str, capsys: pytest.CaptureFixture[str]) -> None:
-    exec(compile(code, "laboratory.md", "exec"), {})
+def test_the_loop_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(LOOP, "laboratory.md", "exec"), {})
     assert capsys.readouterr().out
 
 

@@ -8,5 +8,6 @@ What is observed, done and earned, with shapes and units: docs/laboratory.md.
 
 from dronemon.gym.episodes import Episodes
 from dronemon.gym.monitoring import Monitoring, MonitoringVector
+from dronemon.gym.observer import Observer
 
-__all__ = ["Episodes", "Monitoring", "MonitoringVector"]
+__all__ = ["Episodes", "Monitoring", "MonitoringVector", "Observer"]

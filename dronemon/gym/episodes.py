@@ -6,7 +6,7 @@ B: episodes; V: nodes, the start among them; K: ways to go on from a node; N: ta
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from dronemon.arena import ARENA
 from dronemon.env import Env, Observation, Setup
 from dronemon.errors import OptionError
 from dronemon.gym.picture import draw
+from dronemon.gym.scene import Scene, Shown
 from dronemon.policy.tracks import NUM_TRACK_FEATURES
 from dronemon.problem import FIRST_TRAINING_SEED, MAX_TARGETS, Prior
 from dronemon.roadmap import MAX_ADDED_NEIGHBOURS
@@ -29,8 +30,6 @@ except ImportError as exc:
     ) from exc
 
 Action = Literal["neighbour", "waypoint"]
-Shown: TypeAlias = dict[str, NDArray[Any]]
-"""An observation, by name; of B episodes where all arrays begin with B."""
 _ANY = float(np.finfo(np.float32).max)
 """Where no bound is known."""
 
@@ -89,13 +88,12 @@ class Episodes:
         """Begin the episodes of some seeds: those that `Env` draws from the same ones."""
         seen = self._env.reset([Setup(seed=seed, **self._terms) for seed in seeds])
         graphs = self._env.graphs
-        self._nodes_au = graphs.coordinates.numpy()
-        # Column 0 is the node itself.
-        mask = graphs.neighbour_mask[:, :, 1:].numpy()
-        itself = np.arange(mask.shape[1])[:, None]
-        ways = np.where(mask, graphs.neighbours[:, :, 1:].numpy(), itself)
-        spare = np.broadcast_to(itself, (*mask.shape[:2], self._num_ways - mask.shape[2]))
-        self._ways = np.concatenate([ways, spare], axis=2)  # (B, V, K)
+        self._scene = Scene(
+            graphs.coordinates.numpy(),
+            graphs.neighbours.numpy(),
+            graphs.neighbour_mask.numpy(),
+            self._num_ways,
+        )
         return self._show(seen)
 
     def step(self, actions: NDArray[Any]) -> tuple[Shown, FloatArray, list[dict[str, Any]]]:
@@ -108,8 +106,8 @@ class Episodes:
         if isinstance(self.action_space, spaces.Box):
             step = self._env.step_to(torch.as_tensor(actions))
         else:
-            ways = torch.as_tensor(actions, dtype=torch.int64) % self._seen.neighbour_mask.sum(1)
-            step = self._env.step(self._seen.neighbours.gather(1, 1 + ways[:, None])[:, 0])
+            nodes = self._scene.follow(self._seen.node.numpy(), actions)
+            step = self._env.step(torch.as_tensor(nodes))
         shown = self._show(step.observation)
         area_std = step.area_std[:, : self._num_targets].numpy().copy()
         legs_au = (step.observation.length_au - before_au).tolist()
@@ -125,18 +123,14 @@ class Episodes:
     def _show(self, seen: Observation) -> Shown:
         """What is observed, in new arrays."""
         self._seen = seen
-        count = seen.neighbour_mask.sum(1).numpy()[:, None]
-        return {
-            "position_au": seen.position_au.numpy().astype(np.float32),
-            "time_au": seen.length_au.numpy().astype(np.float32)[:, None],
-            "nodes_au": self._nodes_au.copy(),
-            "neighbours": self._ways.copy(),
-            "node": seen.node.numpy().copy(),
-            "neighbour_mask": (np.arange(self._num_ways) < count).astype(np.int8),
-            "belief": seen.frames.numpy().copy(),
-            "target_mask": seen.target_mask.numpy().astype(np.int8),
-            "tracks": seen.tracks.numpy().copy(),
-        }
+        return self._scene.show(
+            node=seen.node.numpy(),
+            position_au=seen.position_au.numpy(),
+            time_au=seen.length_au.numpy(),
+            belief=seen.frames.numpy(),
+            target_mask=seen.target_mask.numpy(),
+            tracks=seen.tracks.numpy(),
+        )
 
     def _spaces(self, num_nodes: int, num_targets: int) -> spaces.Dict:
         """Of one episode's observation."""

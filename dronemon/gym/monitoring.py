@@ -6,6 +6,7 @@ true. A limit of decisions, Gymnasium's `max_episode_steps`, breaks it off, whic
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -16,8 +17,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from dronemon.errors import OptionError
-from dronemon.gym.episodes import Episodes, Shown, drawn_seed
+from dronemon.errors import OptionError, did_you_mean
+from dronemon.gym.episodes import Episodes, drawn_seed
+from dronemon.gym.scene import Shown, line
 from dronemon.types import ImageArray
 
 NAME = "dronemon/Monitoring-v0"
@@ -40,7 +42,7 @@ class Monitoring(gymnasium.Env[Shown, Any]):
 
     def __init__(self, *, render_mode: str | None = None, **terms: Any) -> None:
         self.render_mode = _known(render_mode)
-        self._episodes = Episodes(**terms)
+        self._episodes = _episodes(terms)
         self.observation_space = self._episodes.observation_space
         self.action_space = self._episodes.action_space
 
@@ -51,13 +53,13 @@ class Monitoring(gymnasium.Env[Shown, Any]):
         super().reset(seed=seed)
         _refuse(options)
         begun = drawn_seed(self.np_random) if seed is None else seed
-        return _line(self._episodes.begin([begun]), 0), {"seed": begun}
+        return line(self._episodes.begin([begun]), 0), {"seed": begun}
 
     def step(self, action: Any) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
         """Fly where the action leads. Raises ValueError if it is not in the action space."""
         actions = _checked(action, self.action_space)[None]
         shown, rewards, told = self._episodes.step(actions)
-        return _line(shown, 0), float(rewards[0]), False, False, told[0]
+        return line(shown, 0), float(rewards[0]), False, False, told[0]
 
     def render(self) -> ImageArray | None:
         """North up: beliefs, targets where they truly are, the agent and what it sees."""
@@ -90,7 +92,7 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
                 f"num_envs is {num_envs}, max_episode_steps {max_episode_steps}; each is 1 or more"
             )
         self.num_envs, self.render_mode = num_envs, _known(render_mode)
-        self._episodes = Episodes(**terms)
+        self._episodes = _episodes(terms)
         self.single_observation_space = self._episodes.observation_space
         self.single_action_space = self._episodes.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -130,7 +132,7 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
         self._decisions_left -= 1
         is_over = self._decisions_left == 0
         if is_over:
-            told = [{"final_obs": _line(shown, i), "final_info": t} for i, t in enumerate(told)]
+            told = [{"final_obs": line(shown, i), "final_info": t} for i, t in enumerate(told)]
         infos = self._gathered({}, told)
         if is_over:
             shown, infos = self._begin([None] * self.num_envs, infos)
@@ -160,9 +162,15 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
         return infos
 
 
-def _line(shown: Shown, episode: int) -> Shown:
-    """What is observed in one of the episodes."""
-    return {name: array[episode] for name, array in shown.items()}
+def _episodes(terms: dict[str, Any]) -> Episodes:
+    """Episodes on these terms. Raises OptionError if there is no such term."""
+    known = list(inspect.signature(Episodes).parameters)
+    for name in terms:
+        if name not in known:
+            raise OptionError(
+                f"{NAME} has no term {name!r}; {did_you_mean(name, known)}it has {', '.join(known)}"
+            )
+    return Episodes(**terms)
 
 
 def _checked(action: Any, space: gymnasium.Space[Any]) -> NDArray[Any]:
