@@ -6,6 +6,7 @@ import inspect
 from functools import partial
 
 import test_camera_in_flight
+import test_field_in_flight
 import test_flights_in_memory
 import test_guidance_in_flight
 import test_pilot_in_flight
@@ -21,6 +22,7 @@ from dronemon.guard import TABLE, Reason
 MODULES = (
     test_flights_in_memory,
     test_camera_in_flight,
+    test_field_in_flight,
     test_guidance_in_flight,
     test_pilot_in_flight,
     test_set_up_in_flight,
