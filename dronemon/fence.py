@@ -62,7 +62,7 @@ class Fence:
             corners_ned_m=hull.points[hull.vertices],
             edges=hull.equations,
             downs_m=(down_m - margin_m, down_m + min(margin_m, altitude_m / 2.0)),
-            zones_ned_m=tuple(frame.au_to_ned(np.array(zone)) for zone in frame.arena.no_fly_au),
+            zones_ned_m=tuple(frame.au_to_ned(zone_au[:-1]) for zone_au in frame.arena.zones_au),
         )
 
     def laid_as(self, corners_ned_m: FloatArray) -> Fence:

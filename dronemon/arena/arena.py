@@ -132,6 +132,11 @@ class Arena:
         return np.concatenate([around, around[:1]])
 
     @property
+    def zones_au(self) -> list[FloatArray]:
+        """Walks around each no-fly zone, like that of the outline. -> (m + 1, 2) au each."""
+        return [np.array([*zone, zone[0]]) for zone in self.no_fly_au]
+
+    @property
     def extent_au(self) -> FloatArray:
         """Width and height of the box. -> (2,) float64 au."""
         low, high = self.bounds

@@ -29,6 +29,9 @@ def draw_map(flight: Flight) -> Figure:
     _draw_beliefs(panel, flight)
     border = _to_map(flight, flight.frame.arena.outline_au)
     panel.plot(*border.T, color="0.3", linewidth=1.2)
+    for number, zone_au in enumerate(flight.frame.arena.zones_au):
+        label = "no-fly" if number == 0 else None
+        panel.fill(*_to_map(flight, zone_au).T, fill=False, ec="tab:red", hatch="//", label=label)
     way = _to_map(flight, flight.agent_au)
     panel.plot(*way.T, color="0.35", linewidth=0.6, label="the drone's way")
     for place, mark, label in ((way[0], "^", "its start"), (way[-1], "s", "its end")):

@@ -169,6 +169,8 @@ def _show(panel: Axes, arena: Arena, values: FloatArray | ImageArray, title: str
 def _frame(panel: Axes, arena: Arena, title: str) -> None:
     (left, bottom), (right, top) = arena.bounds
     panel.plot(*arena.outline_au.T, color="0.6", linewidth=0.8)
+    for zone_au in arena.zones_au:
+        panel.plot(*zone_au.T, color="tab:red", linewidth=0.8)
     panel.set_xlim(left, right)
     panel.set_ylim(bottom, top)
     panel.set_aspect("equal")

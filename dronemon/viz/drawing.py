@@ -36,6 +36,7 @@ from dronemon.viz.entities import (
     GREY,
     KINDS,
     PICTURES,
+    RED,
     SERIES,
     TIMELINE,
     WHITE,
@@ -124,6 +125,8 @@ class Drawing:
         self._area, self._radius_m = area, event.footprint_radius_m
         border = au_to_map(area.arena.outline_au, area)
         log("map/area", lines([border], GREY, 1.0, order=5), static=True)
+        zones = [au_to_map(zone_au, area) for zone_au in area.arena.zones_au]
+        log("map/no_fly", lines(zones, RED, 1.0, order=5), static=True)
         fence = ned_to_map(np.concatenate([event.fence_ned_m, event.fence_ned_m[:1]]), area)
         log("map/fence", lines([fence], BLUE, 1.0, order=5), static=True)
         footprint = rings(None, self._radius_m, WHITE, 1.0, order=30)

@@ -3,7 +3,8 @@
 The map is drawn in metres about the area's centre, north up: x = east, y = -north, since y points
 down in Rerun's 2D views.
 
-    map/area, map/fence, map/roadmap static: the unit square, the fence, nodes and edges
+    map/area, map/no_fly, map/fence  static: the area, its no-fly zones, the fence
+    map/roadmap                      static: nodes and edges
     map/belief                       fog where unsure, each target's colour where it is expected
     map/mean/NAME, map/std/NAME      one target's posterior on the grid
     map/mean_later/..., map/std_later/...  the same PREDICTION_AU later
@@ -61,6 +62,7 @@ WHITE = (240, 244, 250)
 GREY = (150, 160, 178)
 DARK = (62, 70, 84)
 BLUE = (122, 162, 247)
+RED = (247, 118, 122)
 
 
 def path(*parts: str) -> str:

@@ -18,7 +18,7 @@ from dronemon.events import AreaLaid
 from dronemon.frames import body_to_ned, ned_to_geo
 from dronemon.palette import target_rgb
 from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
-from dronemon.viz.entities import BLUE, CAMERA, GREY, WHITE, path
+from dronemon.viz.entities import BLUE, CAMERA, GREY, RED, WHITE, path
 
 _NED_TO_SCENE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """East, north and up of north, east and down."""
@@ -40,6 +40,8 @@ class Scene:
         corners = self._ground_points(laid.area.arena.outline_au)
         rec.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         rec.log("scene/area", rr.LineStrips3D([corners], colors=GREY), static=True)
+        zones = [self._ground_points(zone_au) for zone_au in laid.area.arena.zones_au]
+        rec.log("scene/no_fly", rr.LineStrips3D(zones, colors=RED), static=True)
         box = rr.Boxes3D(half_sizes=[[arm_m, arm_m, 0.3 * arm_m]], colors=WHITE)
         rec.log("scene/vehicle/body", box, static=True)
         lens = rr.Pinhole(
@@ -51,6 +53,11 @@ class Scene:
         rec.log(CAMERA, lens, rr.Transform3D(mat3x3=_CAMERA_TO_BODY), static=True)
         border = [self._ground_lat_lon(corner_au) for corner_au in laid.area.arena.outline_au]
         rec.log("world/area", rr.GeoLineStrings(lat_lon=[border], colors=BLUE), static=True)
+        zones_lat_lon = [
+            [self._ground_lat_lon(corner_au) for corner_au in zone_au]
+            for zone_au in laid.area.arena.zones_au
+        ]
+        rec.log("world/no_fly", rr.GeoLineStrings(lat_lon=zones_lat_lon, colors=RED), static=True)
 
     def move(self, pose: Pose) -> list[float]:
         """Move and tilt the drone. -> its latitude and longitude"""
