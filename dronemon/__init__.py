@@ -15,7 +15,7 @@ def compiled_folder(package: Path) -> Path:
     Numba looks at the file of each function, but not at constants and functions of other files.
     """
     state = hashlib.sha256()
-    for pattern in ("problem.py", "arena.py", "belief/*.py", "planner/*.py"):
+    for pattern in ("problem.py", "arena/*.py", "belief/*.py", "planner/*.py"):
         for file in sorted(package.glob(pattern)):
             state.update(file.read_bytes())
     name = f"compiled-{state.hexdigest()[:16]}"

@@ -18,6 +18,8 @@ from dronemon.types import BoolArray, FloatArray, Pose
 
 _SIDES = 8
 """Of what stands for a circle around a place: more make more corners, fewer a larger fence."""
+_MOST_CORNERS = 16
+"""A vehicle keeps a few dozen at most; a field with more is given a polygon around it."""
 _STOP_S = 2.0
 """A drone that brakes as hard as it turns stops within the way that it flies in this time."""
 
@@ -57,6 +59,8 @@ class Fence:
         rim_m = reach_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         places_m = np.concatenate([frame.au_to_ned(frame.arena.outline_au), np.array(others_ned_m)])
         hull = ConvexHull((places_m[:, None] + rim_m).reshape(-1, 2))
+        if len(hull.vertices) > _MOST_CORNERS:
+            hull = ConvexHull(_circumscribed(hull.points))
         down_m = frame.ground_down_m - altitude_m
         return cls(
             corners_ned_m=hull.points[hull.vertices],
@@ -122,6 +126,17 @@ class FenceArea:
         if self.radius_m is not None:
             outline_m = outline_m + circle_in_metres(self.radius_m, is_inside=self.is_inclusion)
         return outline_m
+
+
+def _circumscribed(places: FloatArray) -> FloatArray:
+    """Corners of a polygon of few sides around places. (n, 2) -> (_MOST_CORNERS, 2)."""
+    angle = 2.0 * np.pi * np.arange(_MOST_CORNERS) / _MOST_CORNERS
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    reach = (places @ out.T).max(axis=0)
+    sides = np.stack([out, np.roll(out, -1, axis=0)], axis=1)  # two neighbours meet in a corner
+    ends = np.stack([reach, np.roll(reach, -1)], axis=-1)
+    corners: FloatArray = np.linalg.solve(sides, ends[..., None])[..., 0]
+    return corners
 
 
 def _contains(polygon: FloatArray, place: FloatArray) -> bool:

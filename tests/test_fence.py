@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dronemon.arena import Arena
 from dronemon.fence import Fence, FenceArea
 from dronemon.frames import AreaFrame, GeoPoint, ned_to_geo
 from dronemon.types import Pose
@@ -142,3 +144,17 @@ def test_a_fence_can_be_that_which_was_laid_before():
     assert laid.downs_m == now.downs_m
     places_m = np.random.default_rng(0).uniform(-300.0, 300.0, (50, 2))
     np.testing.assert_allclose(laid.inside_m(places_m), before.inside_m(places_m), atol=1e-6)
+
+
+def test_a_field_of_many_corners_has_a_fence_of_few_around_it() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False)
+    border_au = 0.5 + np.stack([0.8 * np.cos(angle), 0.5 * np.sin(angle)], axis=-1)
+    zone_au = 0.5 + 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    frame = replace(_frame(), arena=Arena.polygon(border_au, [zone_au]))
+    fence = Fence.around(frame, [(0.0, 0.0)], altitude_m=30.0, margin_m=20.0)
+    assert len(fence.corners_ned_m) <= 16
+    inside_m = fence.inside_m(frame.au_to_ned(border_au))
+    assert inside_m.min() >= 20.0 - 1e-6
+    assert inside_m.min() < 30.0
+    assert not fence.stops_inside(_pose(9.0))  # the zone is 20 m about the centre
+    assert fence.stops_inside(_pose(11.0))

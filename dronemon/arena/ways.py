@@ -6,7 +6,6 @@ Source: Lozano-Perez and Wesley (1979).
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse.csgraph import shortest_path
 
 from dronemon.arena.region import Region
 from dronemon.types import FloatArray, IntArray
@@ -24,6 +23,8 @@ class Ways:
     """
 
     def __init__(self, region: Region) -> None:
+        from scipy.sparse.csgraph import shortest_path  # slow, and of fields alone
+
         self._region = region
         self.corners_au = np.concatenate([_turning_points(ring) for ring in region.rings])
         self.corners_au = self.corners_au[region.contains(self.corners_au)]

@@ -76,14 +76,16 @@ def _draw_beliefs(panel: Axes, flight: Flight) -> None:
     for number, mean in enumerate(flight.mean):
         layers.append(_layer(on_paper(number), 0.85 * np.clip(mean, 0.0, 1.0)))
     (left, bottom), (right, top) = flight.frame.arena.bounds
+    (border,) = panel.fill(*_to_map(flight, flight.frame.arena.outline_au).T, fill=False, lw=0.0)
     for layer in layers:
-        panel.imshow(
+        image = panel.imshow(
             layer,
             extent=(left, right, bottom, top),
             origin="lower",
             interpolation="bilinear",
             transform=transform,
         )
+        image.set_clip_path(border)
 
 
 def _layer(rgb: tuple[float, float, float], alpha: FloatArray) -> FloatArray:

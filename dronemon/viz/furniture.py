@@ -18,10 +18,11 @@ HELP = """
 # What is what
 
 **Map.** North is up. The grey line is the area's border, red ones are no-fly zones, the blue one is
-the fence, the arrow the drone; the white circle round it is what its camera can see of the ground. A target's *colour* is where it is
-expected now; *grey fog* is where nobody looked lately. A *dot* is where a target was seen last, a
-*ring* where it truly is (known only in simulation). The white trail is the last two minutes. Thin
-lines ahead are the ways that the planner weighed, the better the brighter.
+the fence, the arrow the drone; the white circle round it is what its camera can see of the ground.
+A target's *colour* is where it is expected now; *grey fog* is where nobody looked lately. A *dot*
+is where a target was seen last, a *ring* where it truly is (known only in simulation). The white
+trail is the last two minutes. Thin lines ahead are the ways that the planner weighed, the better
+the brighter.
 
 **Camera.** The newest picture, what the detector found in it, and the circle within which finding
 counts.
