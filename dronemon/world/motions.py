@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from dronemon.arena import ARENA, Arena, Region
 from dronemon.errors import OptionError
@@ -241,7 +240,8 @@ def _town(rng: np.random.Generator, arena: Arena) -> tuple[FloatArray, list[list
             join(one, other)
     while (is_apart := part != part[0]).any():
         near, far = np.flatnonzero(~is_apart), np.flatnonzero(is_apart)
-        apart_au = cdist(junctions_au[near], junctions_au[far])
+        offset_au = junctions_au[near][:, None] - junctions_au[far]
+        apart_au = np.hypot(offset_au[..., 0], offset_au[..., 1])
         one, other = np.unravel_index(apart_au.argmin(), apart_au.shape)
         join(int(near[one]), int(far[other]))
     return junctions_au, streets
