@@ -15,6 +15,7 @@ from concurrent.futures import Executor, Future, InvalidStateError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
+from ipaddress import ip_address
 from pathlib import Path
 from threading import Event, Thread
 from types import ModuleType
@@ -65,7 +66,7 @@ def join_cluster(
 ) -> Iterator[Executor]:
     """Processes of a Ray cluster, for `dronemon.workers.share_out`.
 
-    address:     `local` for a Ray of our own, `auto` or host:port for one that runs
+    address:     `local` for a Ray of our own, or host:port of one that runs
     num_workers: processes of our own Ray, one per core for None; a cluster has its own number
     shared:      folder that work on any node reads or writes
 
@@ -76,7 +77,7 @@ def join_cluster(
             f"--workers {num_workers}: the cluster at {address} has as many as its nodes have "
             "CPUs; leave it out"
         )
-    if address not in ("local", "auto") and not _answers(address):  # Ray would try for minutes
+    if address != "local" and not _answers(address):  # Ray would try for minutes
         raise OptionError(
             f"--ray {address}: nothing answers there within {ANSWER_S:g} s; give local, or the "
             "HOST:PORT that `ray start --head` named (usually port 6379), on a node of the cluster"
@@ -125,13 +126,20 @@ def _connect(ray: ModuleType, address: str, num_workers: int | None) -> None:
     except Exception as exc:  # of any kind, and also if this Python or Ray is not the cluster's
         ray.shutdown()
         raise OptionError(f"--ray {address}: {exc}; {_ADVICE[address == 'local']}") from exc
+    host = ray.util.get_node_ip_address()
+    if address == "local" and not ip_address(host).is_loopback:
+        ray.shutdown()
+        raise OptionError(
+            f"--ray local: this version of Ray, {ray.__version__}, listens at {host}, beyond the "
+            "loopback; install another, or start one where that does no harm and name its HOST:PORT"
+        )
 
 
 def _answers(address: str) -> bool:
     """Whether something takes calls at host:port. Raises OptionError if it is none."""
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 2**16:
-        raise OptionError(f"--ray {address}: not local, auto or HOST:PORT")
+        raise OptionError(f"--ray {address}: neither local nor HOST:PORT")
     try:
         socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
     except OSError:

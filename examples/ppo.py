@@ -6,6 +6,7 @@ that is installed. After CleanRL's ppo.py.
 """
 
 import argparse
+import contextlib
 import csv
 import importlib.util
 import time
@@ -24,7 +25,7 @@ METRICS = {
     "return": "rewards summed over an episode's 64 decisions, mean over the update's 32 episodes",
     "unc": "sigma_bar, mean over targets and the way flown, in those episodes; lower is better",
     "policy_loss": "PPO's clipped objective, negated, mean over the update's minibatches",
-    "value_loss": "squared error of the value against ten times the rewards to come, likewise",
+    "value_loss": "squared error of the value against ten times the discounted rewards to come",
     "entropy": "of the policy, in nats, likewise",
 }
 NAME = "dronemon/Monitoring-v0"
@@ -117,11 +118,11 @@ def train(minutes, out, seed=0, held_out=64):
     before, _ = fly(others, policy, others.reset(seed=HELD_OUT_SEED)[0])
     seen, _ = envs.reset(seed=FIRST_SEED)
     out.mkdir(parents=True, exist_ok=True)
-    board = None
+    board = contextlib.nullcontext()
     if importlib.util.find_spec("tensorboard"):
         board = importlib.import_module("torch.utils.tensorboard").SummaryWriter(out)
     began_s = time.monotonic()
-    with (out / "metrics.csv").open("w", 1, newline="") as file:
+    with (out / "metrics.csv").open("w", 1, newline="") as file, board as writer:
         log = csv.DictWriter(file, METRICS)
         log.writeheader()
         while minutes_spent < minutes:
@@ -131,8 +132,8 @@ def train(minutes, out, seed=0, held_out=64):
             decisions += flown["action"].numel()
             minutes_spent = (time.monotonic() - began_s) / 60.0
             log.writerow(numbers | {"decisions": decisions, "minutes": minutes_spent})
-            for name in numbers if board else ():
-                board.add_scalar(name, numbers[name], decisions)
+            for name in numbers if writer else ():
+                writer.add_scalar(name, numbers[name], decisions)
     torch.save(policy.state_dict(), out / "policy.pt")
     return before, fly(others, policy, others.reset(seed=HELD_OUT_SEED)[0], greedy=True)[0]
 

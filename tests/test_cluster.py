@@ -30,10 +30,12 @@ from dronemon.evaluation.options import Options, PlannerSpec, Sweep
 from dronemon.evaluation.results import Result, load_results
 from dronemon.policy import read_tensors
 from dronemon.terminal import LenientConsole
+from dronemon.training.command import train_command
 from dronemon.version import code_digest
 from dronemon.workers import share_out
 
 os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # read once; or no loopback for a cluster
+os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # nor a word to anybody else
 PAGE = (Path(__file__).parents[1] / "docs" / "cluster.md").read_text()
 COMMANDS = [shlex.split(line) for line in re.findall(r"(?m)^    dronemon (.*)$", PAGE)]
 QUIET = LenientConsole(quiet=True)
@@ -149,8 +151,8 @@ def test_weights_that_are_others_where_they_are_flown_are_told(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--ray", "nowhere"], "--ray nowhere: not local, auto or HOST:PORT"),
-        (["--ray", "127.0.0.1:x"], "not local, auto or HOST:PORT"),
+        (["--ray", "nowhere"], "--ray nowhere: neither local nor HOST:PORT"),
+        (["--ray", "127.0.0.1:x"], "neither local nor HOST:PORT"),
         (
             ["--ray", "127.0.0.1:1"],
             "nothing answers there within 5 s; give local, or",
@@ -171,6 +173,15 @@ def test_a_cluster_that_cannot_be_had_is_told_with_what_to_do(
     assert isinstance(outcome.exception, OptionError), outcome.output
     assert complaint in str(outcome.exception)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_recipe_without_lessons_has_nothing_to_share(tmp_path: Path) -> None:
+    app = typer.Typer()
+    app.command()(train_command)
+    asked = ["--recipe", "paper", "--ray", "local", "--out", str(tmp_path / "out")]
+    outcome = CliRunner().invoke(app, asked)
+    assert isinstance(outcome.exception, OptionError), outcome.output
+    assert "paper is PPO, which has no lessons to share" in str(outcome.exception)
 
 
 def test_a_node_that_does_not_fit_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

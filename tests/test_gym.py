@@ -13,13 +13,14 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from arenas import U
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dronemon.env import Env, Observation, Setup
-from dronemon.errors import OptionError
+from dronemon.errors import OptionError, PlannerError
 from dronemon.evaluation.episode import Conditions, fly_episode
 from dronemon.gym import Observer
 from dronemon.gym.monitoring import DECISIONS, NAME
@@ -183,10 +184,14 @@ def test_episodes_without_a_seed_are_those_for_training_and_follow_from_the_last
 @pytest.mark.parametrize(
     ("terms", "words"),
     [
-        ({"num_targets": 0}, "num_targets is 0; it can be 1 to 100"),
+        ({"num_targets": 0}, "num_targets is 0; it can be a whole number from 1 to 100"),
         ({"num_nodes": 0}, "num_nodes is 0"),
         ({"num_neighbours": 1}, "num_neighbours is 1"),
-        ({"speed_ratio": 1.5}, "speed_ratio is 1.5; it can be 0 to 1"),
+        ({"num_nodes": 2.5}, "num_nodes is 2.5; it can be a whole number from 1 to 2000"),
+        ({"num_targets": "3"}, "num_targets is '3'; it can be a whole number"),
+        ({"num_threads": 0}, "num_threads is 0"),
+        ({"speed_ratio": 1.0}, "speed_ratio is 1.0; it can be from 0 to below 1"),
+        ({"speed_ratio": "fast"}, "speed_ratio is 'fast'"),
         ({"prior": "some"}, "prior is 'some'; it can be full, number or none"),
         ({"action": "turn"}, "action is 'turn'; it can be neighbour or waypoint"),
         ({"num_target": 3}, "no term 'num_target'; did you mean num_targets"),
@@ -243,6 +248,12 @@ class Wanderer:
         self.shown.append(self._observer.observe(snapshot))
         self.ways.append(int(self._rng.integers(len(self.shown[-1]["neighbour_mask"]))))
         return self._observer.waypoint(self.ways[-1])
+
+
+def test_a_mission_in_another_field_is_refused() -> None:
+    instance = Instance.draw(10_000, 2, arena=U)
+    with pytest.raises(PlannerError, match="search, tsp and lawnmower fly"):
+        fly_episode(Wanderer(), instance, Conditions(speed_ratio=0.1, num_nodes=20))
 
 
 @pytest.mark.parametrize(("prior", "num_neighbours"), [("full", 2), ("number", 3), ("none", 10)])

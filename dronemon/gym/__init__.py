@@ -1,7 +1,7 @@
 """The learning environment as Gymnasium has them: importing this registers the environment's name.
 
     gymnasium.make("dronemon/Monitoring-v0")                     # one episode at a time
-    gymnasium.make_vec("dronemon/Monitoring-v0", num_envs=32)    # many in step, and much faster
+    gymnasium.make_vec("dronemon/Monitoring-v0", num_envs=32)    # many in step
 
 What is observed, done and earned, with shapes and units: docs/laboratory.md.
 """

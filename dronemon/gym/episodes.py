@@ -6,6 +6,7 @@ B: episodes; V: nodes, the start among them; K: ways to go on from a node; N: ta
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -30,6 +31,7 @@ except ImportError as exc:
     ) from exc
 
 Action = Literal["neighbour", "waypoint"]
+_MOST_NODES, _MOST_THREADS = 2000, 256
 _ANY = float(np.finfo(np.float32).max)
 """Where no bound is known."""
 
@@ -59,11 +61,13 @@ class Episodes:
         action: Action = "neighbour",
         num_threads: int = 1,
     ) -> None:
-        _check("num_targets", 1 <= num_targets <= MAX_TARGETS, num_targets, f"1 to {MAX_TARGETS}")
-        _check("num_nodes", num_nodes >= 1, num_nodes, "1 or more")
-        _check("speed_ratio", 0.0 <= speed_ratio <= 1.0, speed_ratio, "0 to 1")
+        _check_count("num_targets", num_targets, 1, MAX_TARGETS)
+        _check_count("num_nodes", num_nodes, 1, _MOST_NODES)
+        _check_count("num_neighbours", num_neighbours, 2, _MOST_NODES)
+        _check_count("num_threads", num_threads, 1, _MOST_THREADS)
+        is_slower = isinstance(speed_ratio, Real) and 0.0 <= speed_ratio < 1.0
+        _check("speed_ratio", is_slower, speed_ratio, "from 0 to below 1, the agent's speed")
         _check("prior", prior in get_args(Prior), prior, "full, number or none")
-        _check("num_neighbours", num_neighbours >= 2, num_neighbours, "2 or more")
         _check("action", action in get_args(Action), action, "neighbour or waypoint")
         self._terms: dict[str, Any] = {
             "num_targets": num_targets,
@@ -161,6 +165,12 @@ class Episodes:
 def drawn_seed(rng: np.random.Generator) -> int:
     """Seed of an episode for which none is given: one of those for training."""
     return FIRST_TRAINING_SEED + int(rng.integers(2**31))
+
+
+def _check_count(name: str, value: object, least: int, most: int) -> None:
+    is_count = isinstance(value, Integral) and not isinstance(value, bool)
+    is_possible = is_count and least <= value <= most  # type: ignore[operator]
+    _check(name, is_possible, value, f"a whole number from {least} to {most}")
 
 
 def _check(name: str, is_possible: bool, value: object, possible: str) -> None:

@@ -19,7 +19,7 @@ class Observer:
     """
 
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
-        """Begin a mission."""
+        """Begin a mission. Raises PlannerError for a field other than the square."""
         self._lookout = Lookout(briefing)
         self._nodes_au = roadmap.nodes_au
         # A roadmap that falls apart is joined at some nodes; the others have just their nearest.

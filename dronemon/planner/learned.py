@@ -8,8 +8,6 @@ encodes one.
 
 from __future__ import annotations
 
-from dronemon.arena import ARENA
-from dronemon.errors import PlannerError
 from dronemon.planner.lookout import Lookout
 from dronemon.planner.planner import Briefing, Snapshot, Waypoint
 from dronemon.policy import (
@@ -49,13 +47,9 @@ class LearnedPlanner:
     def reset(self, briefing: Briefing, roadmap: Roadmap) -> None:
         """Forget the last mission's history and encode the new roadmap.
 
-        Raises PlannerError for a field other than that which its features and its training know.
+        Raises PlannerError for a field other than the square.
         """
-        if briefing.arena != ARENA:
-            raise PlannerError(
-                f"planner {self.name} was trained in the square of side 1 au and flies in no "
-                "other field; search, tsp and lawnmower fly in any"
-            )
+        self._lookout = Lookout(briefing, has_tracks=self._network.config.tracks)
         num_eigenvectors = self._network.config.num_eigenvectors
         self._nodes_au = roadmap.nodes_au
         self._graphs = Graphs.of(
@@ -65,7 +59,6 @@ class LearnedPlanner:
             roadmap.distance_au,
         )
         self._memory = History(self._network, self._graphs, self._history)
-        self._lookout = Lookout(briefing, has_tracks=self._network.config.tracks)
 
     def next_waypoint(self, snapshot: Snapshot) -> Waypoint:
         """The neighbour with the greatest logit; details hold all logits and the value.

@@ -1,4 +1,7 @@
-"""What a policy over the roadmap is shown of a mission: the same as in `dronemon.env`."""
+"""What a policy over the roadmap is shown of a mission: what `dronemon.env` shows of an episode.
+
+But that an imagined target comes first, as the network has it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief
+from dronemon.errors import PlannerError
 from dronemon.planner.planner import Briefing, Snapshot
 from dronemon.policy import Tracks, belief_features, frame_points
 from dronemon.sightings import Sightings
@@ -34,9 +39,18 @@ class Glance(NamedTuple):
 
 
 class Lookout:
-    """Follows one mission. has_tracks: whether sightings are read for `Glance.tracks`."""
+    """Follows one mission."""
 
     def __init__(self, briefing: Briefing, *, has_tracks: bool = True) -> None:
+        """has_tracks: whether sightings are read for `Glance.tracks`.
+
+        Raises PlannerError for a field other than that which features and training know.
+        """
+        if briefing.arena != ARENA:
+            raise PlannerError(
+                "a policy that learned in the square of side 1 au flies in no other field; search, "
+                "tsp and lawnmower fly in any"
+            )
         self.num_imagined = briefing.num_imagined
         self._has_tracks = has_tracks
         self._tracks = Tracks(1, briefing.num_targets + self.num_imagined)

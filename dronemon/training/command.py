@@ -18,6 +18,7 @@ from dronemon.cluster import join_cluster
 from dronemon.errors import OptionError
 from dronemon.terminal import LenientConsole
 from dronemon.training.peers import join_peers
+from dronemon.training.ppo import PpoConfig
 from dronemon.training.recipe import load_recipe
 from dronemon.training.train import METRICS, Listener, Plan, train
 from dronemon.workers import num_cores
@@ -103,6 +104,10 @@ def train_command(
         )
         for name in names
     ]
+    if ray is not None:
+        for name, plan in zip(names, plans, strict=True):
+            if isinstance(plan.recipe.settings, PpoConfig):
+                raise OptionError(f"--ray: {name} is PPO, which has no lessons to share")
     _set_up_process()
     with (
         join_peers(device) as peers,  # once: processes that part do not find each other again
