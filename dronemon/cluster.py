@@ -6,6 +6,7 @@ loopback alone and ends with it; `--ray HOST:PORT` joins one that runs, from one
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import socket
@@ -41,7 +42,8 @@ STORE_BYTES = 2**27
 
 _ADVICE = {
     True: "a machine that is too busy to start it in half a minute may do so later",
-    False: "all nodes need the same Ray and Python, and this command runs on one of them",
+    False: "all nodes need the same Ray and Python, and ~/.ray/auth_token if the first has one, and"
+    " this command runs on one of them",
 }
 """Where Ray cannot be had, by whether it is our own."""
 
@@ -98,8 +100,11 @@ def _ray(address: str) -> ModuleType:
     os.environ.setdefault("RAY_task_oom_retries", str(MAX_RETRIES))  # without end, usually
     if address == "local":  # has it listen on the loopback alone, on Linux too
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
-    else:  # calls to the head, of 40 s each
-        os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "2")
+    else:
+        os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "2")  # calls to the head, of 40 s each
+        with contextlib.suppress(RuntimeError):  # a user without a home
+            if Path("~/.ray/auth_token").expanduser().exists():  # `ray start` asks for it then
+                os.environ.setdefault("RAY_AUTH_MODE", "token")
     try:
         import ray
     except ImportError as exc:
@@ -142,7 +147,7 @@ def _answers(address: str) -> bool:
         raise OptionError(f"--ray {address}: neither local nor HOST:PORT")
     try:
         socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
-    except OSError:
+    except (OSError, UnicodeError):  # the latter of a name that can be none
         return False
     return True
 

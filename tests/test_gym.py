@@ -212,6 +212,9 @@ def test_what_cannot_be_asked_is_explained() -> None:
         envs.step(np.zeros(2, dtype=np.int64))
     with pytest.raises(OptionError, match="3 seeds for 2 episodes"):
         envs.reset(seed=[1, 2, 3])
+    for steps in (1.5, float("nan"), None, 0):
+        with pytest.raises(OptionError, match=r"max_episode_steps is .*; it can be a whole number"):
+            make_vec(2, max_episode_steps=steps)
     with pytest.raises(OptionError, match="num_envs is 0"):
         make_vec(0)
     with pytest.raises(OptionError, match="render_mode is 'human'"):

@@ -254,9 +254,10 @@ def _evaluate(options: Options, cluster: Executor | None) -> None:
     try:
         evaluate(options, console, cluster)
     except KeyboardInterrupt:
+        is_begun = (options.out / "results.jsonl").exists()
+        kept = f"finished episodes are in {options.out}" if is_begun else "no episode was finished"
         LenientConsole(stderr=True).print(
-            f"stopped; finished episodes are in {options.out}, and the same command goes on from"
-            " there",
+            f"stopped; {kept}, and the same command goes on from there",
             soft_wrap=True,
             markup=False,
         )

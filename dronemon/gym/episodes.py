@@ -61,10 +61,11 @@ class Episodes:
         action: Action = "neighbour",
         num_threads: int = 1,
     ) -> None:
-        _check_count("num_targets", num_targets, 1, MAX_TARGETS)
-        _check_count("num_nodes", num_nodes, 1, _MOST_NODES)
-        _check_count("num_neighbours", num_neighbours, 2, _MOST_NODES)
-        _check_count("num_threads", num_threads, 1, _MOST_THREADS)
+        check_count("num_targets", num_targets, 1, MAX_TARGETS)
+        check_count("num_nodes", num_nodes, 1, _MOST_NODES)
+        check_count("num_neighbours", num_neighbours, 2, _MOST_NODES)
+        check_count("num_threads", num_threads, 1, _MOST_THREADS)
+        num_targets, num_nodes, num_neighbours = map(int, (num_targets, num_nodes, num_neighbours))
         is_slower = isinstance(speed_ratio, Real) and 0.0 <= speed_ratio < 1.0
         _check("speed_ratio", is_slower, speed_ratio, "from 0 to below 1, the agent's speed")
         _check("prior", prior in get_args(Prior), prior, "full, number or none")
@@ -167,7 +168,8 @@ def drawn_seed(rng: np.random.Generator) -> int:
     return FIRST_TRAINING_SEED + int(rng.integers(2**31))
 
 
-def _check_count(name: str, value: object, least: int, most: int) -> None:
+def check_count(name: str, value: object, least: int, most: int) -> None:
+    """Refuse what is no whole number from least to most. Raises OptionError."""
     is_count = isinstance(value, Integral) and not isinstance(value, bool)
     is_possible = is_count and least <= value <= most  # type: ignore[operator]
     _check(name, is_possible, value, f"a whole number from {least} to {most}")

@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dronemon.errors import OptionError, did_you_mean
-from dronemon.gym.episodes import Episodes, drawn_seed
+from dronemon.gym.episodes import Episodes, check_count, drawn_seed
 from dronemon.gym.scene import Shown, line
 from dronemon.types import ImageArray
 
@@ -66,6 +66,10 @@ class Monitoring(gymnasium.Env[Shown, Any]):
         return self._episodes.draw()[0] if self.render_mode == "rgb_array" else None
 
 
+_MOST = 1_000_000
+"""Episodes in step, and decisions of one: more is a mistake."""
+
+
 class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
     """Many episodes in step, each as `Monitoring` would play it; they begin and end together.
 
@@ -87,10 +91,8 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
         render_mode: str | None = None,
         **terms: Any,
     ) -> None:
-        if num_envs < 1 or max_episode_steps < 1:
-            raise OptionError(
-                f"num_envs is {num_envs}, max_episode_steps {max_episode_steps}; each is 1 or more"
-            )
+        check_count("num_envs", num_envs, 1, _MOST)
+        check_count("max_episode_steps", max_episode_steps, 1, _MOST)
         self.num_envs, self.render_mode = num_envs, _known(render_mode)
         self._episodes = _episodes(terms)
         self.single_observation_space = self._episodes.observation_space
@@ -117,6 +119,9 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
             seeds = [None if seed is None else seed + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise OptionError(f"{len(seeds)} seeds for {self.num_envs} episodes; give each one")
+        for given in seeds:
+            if given is not None:
+                check_count("seed", given, 0, 2**63 - 1)
         for i, given in enumerate(seeds):
             if given is not None:
                 self._streams[i] = seeding.np_random(given)[0]
@@ -178,7 +183,7 @@ def _checked(action: Any, space: gymnasium.Space[Any]) -> NDArray[Any]:
     array = np.asarray(action)
     if array not in space:
         raise ValueError(f"action {action!r:.200} is not in the action space, {space}")
-    return array
+    return np.array(array, dtype=space.dtype)  # in this machine's order, and its own
 
 
 def _known(render_mode: str | None) -> str | None:
