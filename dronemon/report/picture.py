@@ -168,9 +168,9 @@ def _show(panel: Axes, arena: Arena, values: FloatArray | ImageArray, title: str
 
 def _frame(panel: Axes, arena: Arena, title: str) -> None:
     (left, bottom), (right, top) = arena.bounds
-    panel.plot(*arena.outline_au.T, color="0.6", linewidth=0.8)
+    panel.fill(*arena.outline_au.T, fill=False, ec="0.6", lw=0.8)
     for zone_au in arena.zones_au:
-        panel.plot(*zone_au.T, color="tab:red", linewidth=0.8)
+        panel.fill(*zone_au.T, fill=False, ec="tab:red", lw=0.8)
     panel.set_xlim(left, right)
     panel.set_ylim(bottom, top)
     panel.set_aspect("equal")

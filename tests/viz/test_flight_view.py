@@ -24,6 +24,7 @@ import psutil
 import pytest
 from rerun.chunk import RrdReader
 
+from dronemon.arena import ARENA
 from dronemon.belief import Belief
 from dronemon.errors import RecordError, ViewError
 from dronemon.events import (
@@ -298,7 +299,7 @@ def test_pixels_of_a_belief_image_lie_on_the_points_of_its_grid(recording: Path)
 
 
 def test_belief_values_and_their_orientation_survive(recording: Path) -> None:
-    places_au = belief_grid_au().reshape(-1, 2)
+    places_au = belief_grid_au(ARENA).reshape(-1, 2)
     for kind, when, which in (("std", 0.1, 1), ("mean", 0.1, 0), ("mean_later", 2.1, 0)):
         (_, [buffer]) = rows(recording, f"/map/{kind}/Bella", "DepthImage:buffer")[0]
         stored = np.frombuffer(bytes(buffer), dtype=np.float16).reshape(40, 40)
