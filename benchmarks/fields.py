@@ -67,7 +67,7 @@ def fly(spec: Spec) -> Result:
         track_au.append(np.array(waypoint.position_au))
         return waypoint
 
-    planner.next_waypoint = watched
+    planner.next_waypoint = watched  # a class around it would hide whether it is clairvoyant
     episode = fly_episode(
         planner, instance, Conditions(speed_ratio=SPEED_RATIO, horizon_au=spec.horizon_au)
     )
