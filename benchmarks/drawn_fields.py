@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import shapely
-from shapely import LineString, Polygon
+from shapely import Polygon
 
 from dronemon.arena import Arena
 from dronemon.types import FloatArray
@@ -79,18 +79,17 @@ class Kept:
 def how_kept(
     track: FloatArray, border: FloatArray, zones: list[FloatArray], tolerance: float
 ) -> Kept:
-    """Judge a track. track: (n, 2); border: (m, 2) and zones: corners, not closed."""
+    """Judge a track of two places at least. track: (n, 2); border, zones: corners, not closed."""
     legs = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
     field = Polygon(border)
     taken = shapely.union_all([Polygon(zone) for zone in zones])
     is_out = ~shapely.covers(field.buffer(tolerance), legs)
     is_in_zone = shapely.intersects(taken.buffer(-tolerance), legs)
-    way = LineString(track)
     return Kept(
         num_legs=len(legs),
         num_bad=int((is_out | is_in_zone).sum()),
-        zone=way.distance(taken),
-        border=0.0 if is_out.any() else way.distance(field.exterior),
+        zone=float(shapely.distance(legs, taken).min()),
+        border=0.0 if is_out.any() else float(shapely.distance(legs, field.exterior).min()),
     )
 
 

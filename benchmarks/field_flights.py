@@ -141,7 +141,9 @@ def _judged(flight: Flight, run: RunFolder) -> Result:
     track_m = (poses_m - frame["centre_ned_m"])[:, ::-1]
     summary = run.summary()
     return {
-        **{key: summary[key] for key in ("outcome", "is_landed", "speed_p99_m_s", "distance_m")},
+        "outcome": summary["outcome"],
+        "is_landed": summary["is_landed"],
+        **{key: summary.get(key, 0.0) for key in ("speed_p99_m_s", "distance_m")},
         **asdict(how_kept(track_m, *_laid(flight), tolerance=0.0)),
     }
 
