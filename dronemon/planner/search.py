@@ -86,7 +86,8 @@ class SearchPlanner:
     def _first(self, here_au: FloatArray, due_au: float, found: paths.Found) -> FloatArray:
         """Where the path first measures or turns; here if it leads nowhere."""
         if self._arena.is_rectangle:  # there it turns only where it measures
-            return found.path_au[0]
+            measured_au: FloatArray = found.path_au[0]
+            return measured_au
         for goal_au in found.goals_au[: found.num_goals]:
             turn_au = self._arena.way(here_au, goal_au)[0]
             if math.dist(turn_au, here_au) > ARRIVED_AU:
