@@ -245,21 +245,21 @@ def fly(case: Case, vehicle: str, seed: int, moment_s: float) -> Result:
         arguments = ["fly", str(folder / "mission.yaml"), "--out", str(out)]
         child: Child
         if is_px4:
-            child = _Spawned([*arguments, "--follow", "udpin://127.0.0.1:14550"], PX4)
+            child = Spawned([*arguments, "--follow", "udpin://127.0.0.1:14550"], PX4)
         elif case.is_disk_full:
-            child = _Spawned(arguments, prepare=_limit_files)
+            child = Spawned(arguments, prepare=_limit_files)
         else:
             child = _Forked(arguments, folder / "output")
         if case.act is not None:
             speed_up = float(os.environ.get("DRONEMON_PX4_SPEED", "1")) if is_px4 else SPEED_UP
-            _wait_until(out, moment_s / speed_up, child)
+            wait_until(out, "armed", moment_s / speed_up, child)
             case.act(child)
         status, said = child.end()
         lines = said.strip().splitlines()
         return _judge(case, out, lines, status) | {"said": lines[-_SAID_LINES:]}
 
 
-class _Spawned:
+class Spawned:
     """The program as a user starts it."""
 
     def __init__(
@@ -349,11 +349,11 @@ def _limit_files() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (_FULL_DISK_BYTES, _FULL_DISK_BYTES))
 
 
-def _wait_until(out: Path, wall_s: float, child: Child) -> None:
-    """Wait until some time after arming by the clock."""
+def wait_until(out: Path, kind: str, wall_s: float, child: Child) -> None:
+    """Wait until some time after the first event of a kind by the clock."""
     events = out / "events.jsonl"
     while child.is_flying:
-        if events.exists() and any('"armed"' in line for line in events.read_text().splitlines()):
+        if events.exists() and any(f'"{kind}"' in line for line in events.read_text().splitlines()):
             time.sleep(wall_s)
             return
         time.sleep(0.02)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dronemon.belief import Belief
 from dronemon.errors import PlannerError
 from dronemon.planner import moving, paths, scoring
-from dronemon.planner.motion import ARRIVED_AU, until_measurement_au
+from dronemon.planner.motion import ARRIVED_AU, step_towards, until_measurement_au
 from dronemon.planner.particles import ParticleBelief
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
 from dronemon.planner.settings import SearchSettings
@@ -70,8 +70,7 @@ class SearchPlanner:
         x_au, y_au = snapshot.position_au.tolist()
         start = paths.Start(x_au, y_au, -1, due_au)
         found = self._search(snapshot, start, np.empty(0, dtype=np.int64))
-        path_au = found.path_au
-        first_au = self._arena.way(snapshot.position_au, path_au[0])[0]
+        first_au = self._first(snapshot.position_au, due_au, found)
         if not _is_found(found.gain) or math.dist(first_au, snapshot.position_au) <= ARRIVED_AU:
             raise PlannerError(f"search found no path from {snapshot.position_au}; report this")
         self._keep(found, first_au)
@@ -80,9 +79,20 @@ class SearchPlanner:
             details={
                 "gain": found.gain,
                 "speed": self._particles.speed.mean,
-                "path": path_au.tolist(),
+                "path": found.path_au.tolist(),
             },
         )
+
+    def _first(self, here_au: FloatArray, due_au: float, found: paths.Found) -> FloatArray:
+        """Where the path first measures or turns; here if it leads nowhere."""
+        if self._arena.is_rectangle:  # there it turns only where it measures
+            measured_au: FloatArray = found.path_au[0]
+            return measured_au
+        for goal_au in found.goals_au[: found.num_goals]:
+            turn_au = self._arena.way(here_au, goal_au)[0]
+            if math.dist(turn_au, here_au) > ARRIVED_AU:
+                return step_towards(here_au, turn_au, due_au)
+        return here_au
 
     def _keep(self, found: paths.Found, reached_au: FloatArray) -> None:
         """Remember the best path's goals, less those that the next waypoint reaches."""

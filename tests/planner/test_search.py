@@ -2,10 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arenas import U
 
 from dronemon.belief import Belief
 from dronemon.errors import PlannerError
 from dronemon.planner import Briefing, Snapshot, walking
+from dronemon.planner.paths import Found
 from dronemon.planner.search import (
     ClairvoyantSearchPlanner,
     PresentSearchPlanner,
@@ -200,6 +202,45 @@ def test_waypoints_are_one_measurement_apart(planner, monkeypatch):
     fly(planner, length_au=3.0)
     assert len(steps) >= 30
     assert steps == pytest.approx([0.1] * len(steps))
+
+
+@pytest.mark.parametrize(
+    ("goals_au", "expected_au"),
+    [
+        ([[0.13, 0.9], [0.15, 0.5]], [0.13, 0.9]),  # there and back: it measures where it is
+        ([[0.15, 0.9], [0.15, 0.5]], [0.15, 0.86]),
+        ([[0.15, 0.9], [0.13, 0.88]], [0.13, 0.88]),
+    ],
+)
+def test_a_path_in_a_polygon_is_flown_to_where_it_first_turns_or_measures(
+    monkeypatch, goals_au, expected_au
+):
+    here_au = np.array([0.15, 0.9])
+    sightings = Sightings(here_au[None])
+    roadmap = Roadmap(nodes_au=here_au[None], neighbours=np.zeros((1, 1), dtype=np.int64))
+    planner = SearchPlanner(QUICK)
+    briefing = Briefing(
+        num_targets=1,
+        priors_au=sightings.priors_au,
+        start_au=here_au,
+        horizon_au=1.0,
+        rng=np.random.default_rng(0),
+        arena=U,
+    )
+    planner.reset(briefing, roadmap)
+    found = Found(1.0, np.tile(here_au, (5, 1)), np.array(goals_au), len(goals_au), -1, np.empty(0))
+    monkeypatch.setattr(planner, "_search", lambda *_: found)
+    snapshot = Snapshot(
+        time_au=0.06,
+        flown_au=0.06,
+        position_au=here_au,
+        node=None,
+        sightings=sightings,
+        belief=Belief(sightings),
+        roadmap=roadmap,
+        remaining_au=0.94,
+    )
+    assert planner.next_waypoint(snapshot).position_au == pytest.approx(expected_au)
 
 
 def test_measurements_that_come_a_decision_late_do_not_hold_it_up():
