@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from functools import partial
 
+import pytest
 import test_camera_in_flight
 import test_field_in_flight
 import test_flights_in_memory
@@ -30,6 +31,7 @@ MODULES = (
 )
 
 
+@pytest.mark.timeout(300)  # alone it flies a hundred flights
 def test_every_row_of_the_table_is_flown(prepare):
     """What the tests before this one have flown already is not flown again."""
     late = partial(bad_planner, answer=hangs, words="no waypoint", reason=Reason.PLANNER_LATE)
