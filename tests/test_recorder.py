@@ -244,6 +244,12 @@ def test_a_full_disk_is_found_before_the_flight(tmp_path: Path) -> None:
 
 def test_a_write_that_fails_raises_and_leaves_whole_lines(tmp_path: Path) -> None:
     """A file size limit stands in for a full disk: both fail a write part of the way through."""
+
+    def write(time_s: float) -> None:
+        """Either call tells, as fast as the thread that writes is."""
+        run.take(noted("long", "x" * 400, time_s))
+        run.flush()
+
     with create(tmp_path) as run:
         run.take(noted("armed", "armed", 1.0))
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -251,10 +257,8 @@ def test_a_write_that_fails_raises_and_leaves_whole_lines(tmp_path: Path) -> Non
         resource.setrlimit(resource.RLIMIT_FSIZE, (300, limits[1]))
         try:
             for time_s in (2.0, 3.0):
-                # Either tells, as fast as the thread that writes is.
                 with pytest.raises(RecordError, match=r"events\.jsonl: File too large; free space"):
-                    run.take(noted("long", "x" * 400, time_s))
-                    run.flush()
+                    write(time_s)
             run.take(noted("short", "returning", 4.0))
             run.flush()
         finally:
