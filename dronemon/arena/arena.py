@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -53,17 +53,7 @@ class Arena:
 
         ValueError where it leaves the agent nothing, or the border crosses itself.
         """
-        arena = cls(
-            low_au=_pair(np.min(border_au, axis=0)),
-            high_au=_pair(np.max(border_au, axis=0)),
-            border_au=_corners(border_au),
-            no_fly_au=tuple(map(_corners, no_fly_au)),
-            margin_au=margin_au,
-        )
-        if not Polygon(arena.border_au).is_valid:
-            raise ValueError("the border crosses itself")
-        arena.free  # noqa: B018  # asked for now, so that nobody meets its error later
-        return arena
+        return _polygon(_corners(border_au), tuple(map(_corners, no_fly_au)), margin_au)
 
     @classmethod
     def told(cls, values: Mapping[str, Any]) -> Arena:
@@ -240,6 +230,22 @@ class Arena:
         low, _ = self.bounds
         cells: FloatArray = low + self.extent_au * _product(np.stack([shares, shares]))
         return cells
+
+
+@lru_cache(maxsize=32)
+def _polygon(border_au: Corners, no_fly_au: tuple[Corners, ...], margin_au: float) -> Arena:
+    """One object for one field, however often it is read: what follows from it is found once."""
+    if not Polygon(border_au).is_valid:
+        raise ValueError("the border crosses itself")
+    arena = Arena(
+        low_au=_pair(np.min(border_au, axis=0)),
+        high_au=_pair(np.max(border_au, axis=0)),
+        border_au=border_au,
+        no_fly_au=no_fly_au,
+        margin_au=margin_au,
+    )
+    arena.free  # noqa: B018  # asked for now, so that nobody meets its error later
+    return arena
 
 
 def _product(axes: FloatArray) -> FloatArray:
