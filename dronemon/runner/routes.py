@@ -31,7 +31,7 @@ class Routes:
         self._frame, self._home_m = frame, home_m
         home_au = frame.ned_to_au(np.array(home_m))
         self._arena = frame.arena
-        if not self._arena.contains(home_au):
+        if not (self._arena.is_rectangle or self._arena.contains(home_au)):
             self._arena = _widened(self._arena, home_au)
         self._end_au = self._arena.clip_free(home_au)
         self._sought_m: Point = (math.inf, math.inf)
