@@ -98,7 +98,6 @@ class Patrol:
         self._last_pose: Pose | None = None
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_due = self._is_planner_asked = self._is_slowness_told = False
-        self._is_heading_home = False
         self._work = asyncio.Event()  # a waypoint is due, or a picture is taken
         self._due_s = self._answer_s = 0.0  # since when it is, and how long answers took of late
         self._on_path_s = 0.0
@@ -110,7 +109,7 @@ class Patrol:
         """
         self._last_pose, self._waiting_since = None, None
         self._last_setpoint_s = -math.inf
-        self._is_waypoint_due = self._is_planner_asked = self._is_heading_home = False
+        self._is_waypoint_due = self._is_planner_asked = False
         self._observer.resume()
         self._work.set()
         place_m = self._link.pose.position_ned_m[:2]
@@ -139,7 +138,9 @@ class Patrol:
         limit_s = pose.time_s + _CLIMB_LIMIT_S
         while not self._is_at_height(pose):
             advice = self._supervisor.ask(
-                is_outside=not self._fence.stops_inside(pose), is_off_path=pose.time_s > limit_s
+                is_outside=not self._fence.stops_inside(pose),
+                is_off_path=pose.time_s > limit_s,
+                is_home_around=not self._routes.are_straight,
             )
             if advice.action is not Action.GO_ON:
                 return False
@@ -168,8 +169,8 @@ class Patrol:
         )
         here_m = pose.position_ned_m[:2]
         goal_m = _point(self._frame.au_to_ned(self._waypoint_au))
-        home = self._is_heading_home
-        for place_m in self._routes.home(here_m) if home else self._routes.to(here_m, goal_m):
+        is_home = self._is_heading_home
+        for place_m in self._routes.home(here_m) if is_home else self._routes.to(here_m, goal_m):
             self._carrot.extend(place_m)
         self._got_to_m = 0.0
 
@@ -185,6 +186,7 @@ class Patrol:
                 continue
             if self.has_origin_moved():
                 raise VehicleError("the origin of its local frame moved: the area lies elsewhere")
+            was_heading_home = self._is_heading_home
             advice = self._supervisor.ask(
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
@@ -197,7 +199,7 @@ class Patrol:
             )
             if advice.action is not Action.GO_ON:
                 return
-            if advice.state is State.HEADING_HOME and not self._is_heading_home:
+            if self._is_heading_home and not was_heading_home:
                 self._head_home()
             self._last_setpoint_s = pose.time_s
             if self._link.state.num_resets != self._num_resets:
@@ -215,9 +217,13 @@ class Patrol:
             self._ask_for_picture(pose)
             self._supervisor.report("patrol" if self.tally else "to the start")
 
+    @property
+    def _is_heading_home(self) -> bool:
+        return self._supervisor.state is State.HEADING_HOME
+
     def _head_home(self) -> None:
         """Leave the path for the way home."""
-        self._is_heading_home, self._is_waypoint_due, self._waiting_since = True, False, None
+        self._is_waypoint_due, self._waiting_since = False, None
         for place_m in self._routes.home(self._carrot.turn_off()):
             self._carrot.extend(place_m)
 

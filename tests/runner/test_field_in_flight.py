@@ -10,8 +10,10 @@ from flights import Flight, comes_home, give_back, hangs
 
 from dronemon.errors import CameraError, LinkLost, PlannerError
 from dronemon.events import Moved
+from dronemon.frames import AreaFrame
 from dronemon.guard import Reason
 from dronemon.planner import Snapshot, Waypoint
+from dronemon.runner.routes import Routes
 from dronemon.vehicle import Mode
 
 BORDER = [[-60, -60], [80, -60], [80, 60], [-60, 60]]
@@ -139,6 +141,40 @@ def test_a_pilot_on_that_way_wins_and_then_it_goes_on_home(flight: Flight) -> No
     assert {Reason.TAKEN, Reason.GIVEN_BACK, Reason.THERE} <= flight.reasons
     keeps_to_the_field(flight)
     comes_home(flight, result)
+
+
+def test_a_pilot_who_gives_it_back_at_another_height_does_not_send_it_straight(
+    flight: Flight,
+) -> None:
+    beyond(flight)
+
+    def lower() -> None:
+        flight.link.vehicle.position[2] += 8.0
+        give_back(flight)
+
+    def take() -> None:
+        flight.link.vehicle.choose(Mode.POSITION)
+        flight.later(5.0, lower)
+
+    flight.when("patrol", lambda: [flight.later(3.0, flight.ask), flight.later(8.0, take)])
+    result = flight.fly()
+    assert result.outcome == "interrupted"
+    assert {Reason.GIVEN_BACK, Reason.THERE} <= flight.reasons
+    keeps_to_the_field(flight)
+    comes_home(flight, result)
+
+
+def test_from_a_square_it_returns_straight_wherever_home_is() -> None:
+    frame = AreaFrame(
+        centre_ned_m=(0.0, 300.0),
+        ground_down_m=0.0,
+        side_m=100.0,
+        heading_rad=0.0,
+        cruise_speed_m_s=5.0,
+    )
+    routes = Routes(frame, (0.0, 0.0))
+    assert routes.are_straight
+    assert routes.to((0.0, 0.0), (10.0, 310.0)) == [(10.0, 310.0)]
 
 
 def test_what_fails_on_that_way_sends_it_home_straight(flight: Flight) -> None:
