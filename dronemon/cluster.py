@@ -100,6 +100,8 @@ def _ray(address: str) -> ModuleType:
     os.environ.setdefault("RAY_task_oom_retries", str(MAX_RETRIES))  # without end, usually
     if address == "local":  # has it listen on the loopback alone, on Linux too
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+        os.environ["RAY_AUTH_MODE"] = "token"  # of this run alone: Ray's own stays, for all to read
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     else:
         os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "2")  # calls to the head, of 40 s each
         with contextlib.suppress(RuntimeError):  # a user without a home

@@ -313,6 +313,7 @@ def test_a_ray_of_our_own_listens_on_the_loopback_alone_and_ends_with_us(tmp_pat
     assert is_started == "True"
     assert set(places) <= {"127.0.0.1", "::1", "::ffff:127.0.0.1"}
     assert left == "[]"
+    assert not (tmp_path / ".ray").exists()  # its key is of this run alone
 
 
 def run_command(folder: Path, arguments: list[str]) -> None:

@@ -124,7 +124,7 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
                 check_count("seed", given, 0, 2**63 - 1)
         for i, given in enumerate(seeds):
             if given is not None:
-                self._streams[i] = seeding.np_random(given)[0]
+                self._streams[i] = seeding.np_random(int(given))[0]
         return self._begin(seeds, {})
 
     def step(
