@@ -9,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import shutil
 import socket
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, InvalidStateError
@@ -40,6 +42,9 @@ STORE_BYTES = 2**27
 """Of a Ray of our own, which passes no large values."""
 
 
+_SETTINGS = b"\x04"
+_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
+"""How HTTP/2 begins on both sides: with a frame of settings, here an empty one."""
 _ADVICE = {
     True: "a machine that is too busy to start it in half a minute may do so later",
     False: "all nodes need the same Ray and Python, and ~/.ray/auth_token if the first has one, and"
@@ -81,18 +86,21 @@ def join_cluster(
         )
     if address != "local" and not _answers(address):  # Ray would try for minutes
         raise OptionError(
-            f"--ray {address}: nothing answers there within {ANSWER_S:g} s; give local, or the "
+            f"--ray {address}: no Ray answers there within {ANSWER_S:g} s; give local, or the "
             "HOST:PORT that `ray start --head` named (usually port 6379), on a node of the cluster"
         )
     ray = _ray(address)
-    _connect(ray, address, num_workers)
+    folder = tempfile.mkdtemp(prefix="dronemon-") if address == "local" else None  # ours alone
     try:
+        _connect(ray, address, num_workers, folder)
         with _marked(shared) as mark:
             terms = Terms(code=code_digest(), folder=Path.cwd(), mark=mark)
             with _RayExecutor(ray, terms) as executor:
                 yield executor
     finally:
         ray.shutdown()
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _ray(address: str) -> ModuleType:
@@ -116,12 +124,13 @@ def _ray(address: str) -> ModuleType:
     return ray
 
 
-def _connect(ray: ModuleType, address: str, num_workers: int | None) -> None:
-    """Start Ray or join it. Raises OptionError."""
+def _connect(ray: ModuleType, address: str, num_workers: int | None, folder: str | None) -> None:
+    """Start Ray or join it. folder: of a Ray of our own, for its logs. Raises OptionError."""
     own: dict[str, Any] = {
         "num_cpus": num_workers or num_cores(),
         "object_store_memory": STORE_BYTES,
         "include_dashboard": False,
+        "_temp_dir": folder,
     }
     try:
         ray.init(
@@ -131,11 +140,9 @@ def _connect(ray: ModuleType, address: str, num_workers: int | None) -> None:
             **(own if address == "local" else {}),
         )
     except Exception as exc:  # of any kind, and also if this Python or Ray is not the cluster's
-        ray.shutdown()
         raise OptionError(f"--ray {address}: {exc}; {_ADVICE[address == 'local']}") from exc
     host = ray.util.get_node_ip_address()
     if address == "local" and not ip_address(host).is_loopback:
-        ray.shutdown()
         raise OptionError(
             f"--ray local: this version of Ray, {ray.__version__}, listens at {host}, beyond the "
             "loopback; install another, or start one where that does no harm and name its HOST:PORT"
@@ -143,15 +150,21 @@ def _connect(ray: ModuleType, address: str, num_workers: int | None) -> None:
 
 
 def _answers(address: str) -> bool:
-    """Whether something takes calls at host:port. Raises OptionError if it is none."""
+    """Whether something at host:port answers as Ray's head does, by HTTP/2 (RFC 9113, 3.4).
+
+    Raises OptionError if it is none.
+    """
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 2**16:
         raise OptionError(f"--ray {address}: neither local nor HOST:PORT")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+        with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S) as connection:
+            if os.environ.get("RAY_USE_TLS", "0") != "0":
+                return True
+            connection.sendall(_HELLO)
+            return connection.recv(9)[3:4] == _SETTINGS
     except (OSError, UnicodeError):  # the latter of a name that can be none
         return False
-    return True
 
 
 @contextmanager

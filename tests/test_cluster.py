@@ -6,12 +6,14 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -76,6 +78,7 @@ class Loop:
 """
 LISTENING = """
 import os, psutil
+from pathlib import Path
 from dronemon.cluster import join_cluster
 if __name__ == "__main__":
     with join_cluster("local", 1) as nodes:
@@ -83,6 +86,7 @@ if __name__ == "__main__":
         us = [psutil.Process(), *psutil.Process().children(recursive=True)]
         places = {c.laddr.ip for p in us for c in p.net_connections() if c.status == "LISTEN"}
         print(len(us) > 3, *sorted(places))
+        print([f"{p.stat().st_mode & 0o777:o}" for p in Path(os.environ["TMPDIR"]).iterdir()])
     print([p.name() for p in psutil.Process().children() if p.status() != "zombie"])
 """
 
@@ -155,7 +159,7 @@ def test_weights_that_are_others_where_they_are_flown_are_told(tmp_path: Path) -
         (["--ray", "127.0.0.1:x"], "neither local nor HOST:PORT"),
         (
             ["--ray", "127.0.0.1:1"],
-            "nothing answers there within 5 s; give local, or",
+            "no Ray answers there within 5 s; give local, or",
         ),
         (["--ray", "127.0.0.1:1", "--workers", "2"], "--workers 2: the cluster at 127.0.0.1:1"),
         (["--ray", "local"], "pip install 'dronemon[ray]' brings it"),
@@ -173,6 +177,31 @@ def test_a_cluster_that_cannot_be_had_is_told_with_what_to_do(
     assert isinstance(outcome.exception, OptionError), outcome.output
     assert complaint in str(outcome.exception)
     assert not (tmp_path / "out").exists()
+
+
+def answered(server: socket.socket, answer: bytes) -> None:
+    """Take one call, and answer it."""
+    connection, _ = server.accept()
+    with connection, suppress(ConnectionResetError):
+        connection.send(answer)
+        while connection.recv(1024):
+            pass
+
+
+@pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n"])
+def test_what_takes_calls_but_is_no_ray_is_told_soon(
+    monkeypatch: pytest.MonkeyPatch, answer: bytes
+) -> None:
+    monkeypatch.setattr(cluster, "ANSWER_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as threads:
+        called = threads.submit(answered, server, answer)
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        with (
+            pytest.raises(OptionError, match=r"no Ray answers there within 0\.3 s"),
+            join_cluster(address, None),
+        ):
+            pass
+        called.result()
 
 
 def test_a_recipe_without_lessons_has_nothing_to_share(tmp_path: Path) -> None:
@@ -262,6 +291,23 @@ def test_two_nodes_fly_what_one_process_flies_though_a_worker_is_killed(
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+def test_what_a_node_had_under_way_is_done_by_others_when_it_dies(work: Any) -> None:
+    nodes = started_cluster(num_nodes=2)
+    try:
+        with (
+            join_cluster(nodes.address, None) as joined,
+            closing(share_out(work.slowly, range(60), 1, joined)) as done,
+        ):
+            got = [next(done), next(done)]
+            (second,) = nodes.worker_nodes
+            nodes.remove_node(second, allow_graceful=False)
+            assert sorted([*got, *done]) == list(range(60))
+    finally:
+        nodes.shutdown()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_what_fails_on_a_node_is_told_with_its_name_or_the_task(address: str, work: Any) -> None:
     with join_cluster(address, None) as nodes:
         with pytest.raises(PlannerError, match=r"^on .+: no way for 7$"):
@@ -298,22 +344,25 @@ def test_a_cluster_that_goes_away_ends_the_run_with_what_to_do(
 @pytest.mark.timeout(300)
 def test_a_ray_of_our_own_listens_on_the_loopback_alone_and_ends_with_us(tmp_path: Path) -> None:
     (tmp_path / "listening.py").write_text(LISTENING)
+    own = tempfile.mkdtemp()  # a short path, as sockets need
     done = subprocess.run(
         [sys.executable, "-W", "error", "listening.py"],
         cwd=tmp_path,
-        env={**os.environ, "HOME": str(tmp_path)},
+        env={**os.environ, "HOME": str(tmp_path), "TMPDIR": own},
         capture_output=True,
         text=True,
         timeout=300.0,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    listening, left = done.stdout.splitlines()[-2:]
+    listening, folders, left = done.stdout.splitlines()[-3:]
     is_started, *places = listening.split()
     assert is_started == "True"
     assert set(places) <= {"127.0.0.1", "::1", "::ffff:127.0.0.1"}
     assert left == "[]"
     assert not (tmp_path / ".ray").exists()  # its key is of this run alone
+    assert folders == "['700']"
+    Path(own).rmdir()  # nothing is left in it
 
 
 def run_command(folder: Path, arguments: list[str]) -> None:

@@ -58,6 +58,18 @@ def test_a_move_brings_every_cell_nearer(dsse: ModuleType) -> None:
             assert np.abs(goal - moved).max() == np.abs(np.subtract(goal, (2, 2))).max() - 1
 
 
+@pytest.mark.parametrize("column", [8, 32])
+def test_our_search_goes_where_the_matrix_has_the_person(dsse: ModuleType, column: int) -> None:
+    steps = {action: step for step, action in dsse.MOVES.items()}
+    policy, here, num_searches = dsse.Search(np.random.default_rng(0)), (20, 0), 0
+    for _ in range(40):
+        action = policy.act(here, bell(column, 20.0, 2.0))
+        num_searches += action == dsse.SEARCH
+        here = tuple(int(x) for x in np.add(here, steps.get(action, (0, 0))))
+        assert action != dsse.SEARCH or np.abs(np.subtract(here, (column, 20))).max() <= 6
+    assert num_searches >= 5
+
+
 @pytest.mark.slow
 def test_every_policy_flies_the_public_task(
     dsse: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

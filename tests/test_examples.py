@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from dronemon.problem import FIRST_DEVELOPMENT_SEED, FIRST_TRAINING_SEED
 
@@ -40,6 +41,11 @@ def test_a_few_updates_are_logged_by_numbers_that_are_defined(
     assert list(rows[0]) == list(ppo.METRICS)
     assert [int(row["decisions"]) for row in rows] == [24 * (i + 1) for i in range(len(rows))]
     assert all(np.isfinite(float(x)) for row in rows for x in row.values())
+    board = EventAccumulator(str(tmp_path)).Reload()
+    for name in set(ppo.METRICS) - {"decisions", "minutes"}:
+        drawn = [(event.step, event.value) for event in board.Scalars(name)]
+        logged = [(int(row["decisions"]), float(row[name])) for row in rows]
+        np.testing.assert_allclose(drawn, logged, rtol=1e-5)
     trained = torch.load(tmp_path / "policy.pt", weights_only=True)
     assert any((trained[name] != untrained[name]).any() for name in untrained)
     assert before["reward"].shape == after["reward"].shape == (6, 2)

@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 
@@ -15,6 +16,8 @@ import gymnasium
 import pytest
 
 from dronemon import cli
+from dronemon.belief import Scores
+from dronemon.evaluation.results import Result
 from dronemon.gym import Episodes
 from dronemon.gym.monitoring import DECISIONS, NAME
 
@@ -64,6 +67,13 @@ def test_a_command_does_what_it_says(
     else:
         assert arguments[0] == "fly"
         assert (folder / given["--out"] / "decisions.jsonl").read_text()
+
+
+def test_the_page_says_what_every_figure_is() -> None:
+    told = set(re.findall(r"`(\w+)`", "".join(re.findall(r"(?m)^\| (`.*?) \| .* \|$", PAGE))))
+    logged = {f.name for f in fields(Scores)} | {f.name for f in fields(Result)} | {"decision_ms"}
+    named = {"method", "cell", "seed", "settings", "scores", "code"}  # what they are figures of
+    assert logged - named <= told
 
 
 def test_the_loop_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -169,11 +169,11 @@ def _warn_of_other_code(kept: Sequence[Result], path: Path, console: LenientCons
 
 @cache
 def _check_files(planner: PlannerSpec, motion: str, horizon_au: float, settings: str) -> None:
-    """Make sure that this process reads the weights and tracks that the run was begun with."""
+    """Make sure that this process reads the files that the run was begun with."""
     if settings_digest(planner, motion, horizon_au) != settings:
         raise OptionError(
-            f"the weights of {planner.text}, or the tracks of {motion}, are not those that the run"
-            " was begun with; have them the same wherever episodes are flown"
+            f"the weights or code of {planner.text}, or the tracks of {motion}, are not those that"
+            " the run was begun with; have them the same wherever episodes are flown"
         )
 
 

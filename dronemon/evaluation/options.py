@@ -16,7 +16,7 @@ from dronemon import __version__
 from dronemon.card import find_checkpoint
 from dronemon.errors import OptionError
 from dronemon.evaluation.episode import Conditions
-from dronemon.planner import create_planner, has_weights, planner_names
+from dronemon.planner import create_planner, files_outside, has_weights, planner_names
 from dronemon.problem import MAX_HISTORY, MAX_TARGETS, MOTIONS, Prior, is_tracks
 from dronemon.sensor import PERFECT, Sensor
 from dronemon.world.motions import motion_flaw
@@ -134,11 +134,12 @@ class PlannerSpec:
         return self.kind + (f":{checkpoint}" if checkpoint else "") + history
 
     @property
-    def weights_digest(self) -> str | None:
-        """Digest of the checkpoint's bytes, so that other weights are another planner."""
-        if not has_weights(self.kind):
-            return None
-        return _file_digest(find_checkpoint(self.checkpoint))
+    def files_digest(self) -> str | None:
+        """Digest of weights and of others' code, so that others are another planner."""
+        if has_weights(self.kind):
+            return _file_digest(find_checkpoint(self.checkpoint))
+        files = files_outside(self.kind)
+        return _digest({"files": [_file_digest(path) for path in files]}) if files else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -285,10 +286,10 @@ class Options:
 
 
 def settings_digest(planner: PlannerSpec, motion: str, horizon_au: float) -> str:
-    """Digest of what decides an outcome besides the rest of a key: weights, tracks, version."""
+    """Digest of what decides an outcome besides the rest of a key: files and version."""
     tracks = {"tracks": _file_digest(Path(motion))} if is_tracks(motion) else {}
-    weights = planner.weights_digest
-    return _digest({"version": __version__, "horizon": horizon_au, "weights": weights, **tracks})
+    files = planner.files_digest
+    return _digest({"version": __version__, "horizon": horizon_au, "weights": files, **tracks})
 
 
 def _listed(values: Iterable[object]) -> str:
@@ -301,7 +302,12 @@ def _digest(facts: dict[str, object]) -> str:
 
 
 def _file_digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as exc:
+        raise OptionError(
+            f"{path}, which decides an outcome, cannot be read: {exc.strerror}"
+        ) from exc
 
 
 def _require(is_met: bool, otherwise: str) -> None:

@@ -9,7 +9,7 @@ from dronemon.planner.planner import (
     TargetsAt,
     Waypoint,
 )
-from dronemon.planner.registry import create_planner, has_weights, planner_names
+from dronemon.planner.registry import create_planner, files_outside, has_weights, planner_names
 
 __all__ = [
     "Briefing",
@@ -20,6 +20,7 @@ __all__ = [
     "TargetsAt",
     "Waypoint",
     "create_planner",
+    "files_outside",
     "has_weights",
     "planner_names",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from importlib.metadata import entry_points
+from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
@@ -82,18 +83,24 @@ def create_planner(
     for name, given in {"checkpoint": checkpoint, "history": history}.items():
         if given is not None:
             raise OptionError(f"planner {kind!r} has no weights, but {name} {given} was given")
+    return _SHIPPED[kind]() if kind in _SHIPPED else _make_outside(_path_outside(kind))
+
+
+def files_outside(kind: str) -> tuple[Path, ...]:
+    """Files that decide how a planner of others plans; none for those that come with the package.
+
+    They are its module's and those that its class names in `files`, such as weights or modules of
+    its own, seen from the folder that we run in. Raises OptionError for a kind there is not, or if
+    `files` are no paths.
+    """
     if kind in _SHIPPED:
-        return _SHIPPED[kind]()
-    if ":" in kind:
-        return _make_outside(kind)
-    brought = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
-    if kind in brought:
-        return _make_outside(brought[kind])
-    names = sorted({*_SHIPPED, *brought})
-    raise OptionError(
-        f"there is no planner {kind!r}; {did_you_mean(kind, names)}"
-        f"there are: {', '.join(names)}, and your own as package.module:Class"
-    )
+        return ()
+    make = find_class(path := _path_outside(kind), _ROLE)
+    named = getattr(make, "files", ())
+    if not isinstance(named, tuple | list) or not all(isinstance(f, str | Path) for f in named):
+        raise OptionError(f"planner {path!r} has files {named!r}, which is no tuple of paths")
+    module = inspect.getsourcefile(inspect.getmodule(make) or make)
+    return tuple(map(Path, [*([module] if module else []), *named]))
 
 
 def describe_planners() -> dict[str, str]:
@@ -106,6 +113,18 @@ def describe_planners() -> dict[str, str]:
             about = f"cannot be loaded: {exc}"
         told.setdefault(point.name, about or point.value)
     return told
+
+
+def _path_outside(kind: str) -> str:
+    """package.module:Class of a planner that does not come with the package. Raises OptionError."""
+    brought = {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+    if ":" in kind or kind in brought:
+        return brought.get(kind, kind)
+    names = sorted({*_SHIPPED, *brought})
+    raise OptionError(
+        f"there is no planner {kind!r}; {did_you_mean(kind, names)}"
+        f"there are: {', '.join(names)}, and your own as package.module:Class"
+    )
 
 
 def _make_outside(path: str) -> Planner:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 
 from dronemon import cli
 from dronemon.errors import OptionError
+from dronemon.evaluation.options import PlannerSpec
 from dronemon.planner import create_planner
 from dronemon.planner.registry import describe_planners
 
@@ -84,6 +87,38 @@ def test_what_is_wrong_with_a_planner_is_explained(folder: Path, path: str, word
         create_planner(path)
     assert path in str(caught.value)
     assert words in str(caught.value)
+
+
+def test_what_an_edited_planner_flew_is_not_what_it_flies(folder: Path) -> None:
+    plain = PlannerSpec(kind="my_planner:Curious")
+    before = plain.files_digest
+    assert PlannerSpec(kind="tsp").files_digest is None
+    with (folder / "my_planner.py").open("a") as file:
+        file.write('class Learned(Curious):\n    files = ("helper.py", "weights/agent.pt")\n')
+    edited = plain.files_digest
+    assert edited != before
+    with pytest.raises(OptionError, match=r"^helper\.py, which decides an outcome, cannot be read"):
+        _ = learned(folder).files_digest
+    (folder / "weights").mkdir()
+    digests = {edited, before}
+    for content in ("1", "2"):
+        for name in ("helper.py", "weights/agent.pt"):
+            (folder / name).write_text(content)
+            if (folder / "weights" / "agent.pt").exists():
+                digests.add(learned(folder).files_digest)
+    assert len(digests) == 5
+    assert before is not None
+    (folder / "my_planner.py").write_text(CODE + '    files = "helper.py"\n')
+    with pytest.raises(OptionError, match=r"has files 'helper\.py', which is no tuple of paths"):
+        _ = learned(folder, "Curious").files_digest
+
+
+def learned(folder: Path, name: str = "Learned") -> PlannerSpec:
+    """A planner of the module as it is now."""
+    sys.modules.pop("my_planner", None)
+    importlib.invalidate_caches()
+    shutil.rmtree(folder / "__pycache__", ignore_errors=True)
+    return PlannerSpec(kind=f"my_planner:{name}")
 
 
 def test_weights_are_refused(folder: Path) -> None:
