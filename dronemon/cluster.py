@@ -130,7 +130,7 @@ def _connect(ray: ModuleType, address: str, num_workers: int | None, folder: str
         "num_cpus": num_workers or num_cores(),
         "object_store_memory": STORE_BYTES,
         "include_dashboard": False,
-        "_temp_dir": folder,
+        "_temp_dir": folder and f"{folder}/ray",  # which Ray opens to all
     }
     try:
         ray.init(
