@@ -9,13 +9,12 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-import shutil
 import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, InvalidStateError
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from ipaddress import ip_address
@@ -38,6 +37,8 @@ ANSWER_S, LOOK_INTERVAL_S, SILENCE_S = 5.0, 5.0, 30.0
 
 Ray ends a process whose head is silent for 60 s, whatever it does.
 """
+_LONGEST_FOLDER = 28
+"""For sockets below it to have paths of at most 107 bytes, as Linux wants."""
 STORE_BYTES = 2**27
 """Of a Ray of our own, which passes no large values."""
 
@@ -87,20 +88,29 @@ def join_cluster(
     if address != "local" and not _answers(address):  # Ray would try for minutes
         raise OptionError(
             f"--ray {address}: no Ray answers there within {ANSWER_S:g} s; give local, or the "
-            "HOST:PORT that `ray start --head` named (usually port 6379), on a node of the cluster"
+            "HOST:PORT that `ray start --head` named (usually port 6379, not the client's 10001), "
+            "on a node of the cluster"
         )
     ray = _ray(address)
-    folder = tempfile.mkdtemp(prefix="dronemon-") if address == "local" else None  # ours alone
+    with _own_folder() if address == "local" else nullcontext("") as folder:
+        try:
+            _connect(ray, address, num_workers, folder)
+            with _marked(shared) as mark:
+                terms = Terms(code=code_digest(), folder=Path.cwd(), mark=mark)
+                with _RayExecutor(ray, terms) as executor:
+                    yield executor
+        finally:
+            ray.shutdown()
+
+
+def _own_folder() -> AbstractContextManager[str]:
+    """A folder that is ours alone, for what a Ray of our own writes, with a path short enough."""
+    wanted = [os.environ.get("RAY_TMPDIR", ""), tempfile.gettempdir(), "/tmp"]
+    place = next(folder for folder in wanted if 0 < len(folder) <= _LONGEST_FOLDER)
     try:
-        _connect(ray, address, num_workers, folder)
-        with _marked(shared) as mark:
-            terms = Terms(code=code_digest(), folder=Path.cwd(), mark=mark)
-            with _RayExecutor(ray, terms) as executor:
-                yield executor
-    finally:
-        ray.shutdown()
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+        return tempfile.TemporaryDirectory(prefix="dm-", dir=place, ignore_cleanup_errors=True)
+    except OSError as exc:
+        raise OptionError(f"--ray local: {place}: {exc.strerror}; set RAY_TMPDIR") from exc
 
 
 def _ray(address: str) -> ModuleType:
@@ -124,13 +134,13 @@ def _ray(address: str) -> ModuleType:
     return ray
 
 
-def _connect(ray: ModuleType, address: str, num_workers: int | None, folder: str | None) -> None:
+def _connect(ray: ModuleType, address: str, num_workers: int | None, folder: str) -> None:
     """Start Ray or join it. folder: of a Ray of our own, for its logs. Raises OptionError."""
     own: dict[str, Any] = {
         "num_cpus": num_workers or num_cores(),
         "object_store_memory": STORE_BYTES,
         "include_dashboard": False,
-        "_temp_dir": folder and f"{folder}/ray",  # which Ray opens to all
+        "_temp_dir": f"{folder}/r",  # which Ray opens to all
     }
     try:
         ray.init(
@@ -162,7 +172,10 @@ def _answers(address: str) -> bool:
             if os.environ.get("RAY_USE_TLS", "0") != "0":
                 return True
             connection.sendall(_HELLO)
-            return connection.recv(9)[3:4] == _SETTINGS
+            frame = b""
+            while len(frame) < 4 and (part := connection.recv(9)):
+                frame += part
+            return frame[3:4] == _SETTINGS
     except (OSError, UnicodeError):  # the latter of a name that can be none
         return False
 

@@ -14,12 +14,11 @@ from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
 from dronemon.mission.document import Overrides, Problem
 from dronemon.mission.field import field_problems
-from dronemon.mission.schema import GIMBAL_ERROR_DEG
 from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
-from dronemon.vision.prototypes import PROTOTYPES
+from dronemon.vision.view import needed_altitude_m, needed_px_per_m, px_per_m, tilt_rad
 from dronemon.world.motions import motion_flaw
 
 
@@ -85,35 +84,6 @@ def doubts(mission: Mission, follow: str | None) -> list[str]:
         speed_ratio=mission.simulation.speed_ratio if is_simulated else None,
         unplaced=[target.name for target in mission.targets if target.prior_au is None],
     )
-
-
-def px_per_m(mission: Mission) -> float:
-    """Size on the picture, seen from the patrol's height, of a metre on the ground."""
-    return mission.camera.model.focal_px / mission.flight.altitude_m
-
-
-def needed_px_per_m(mission: Mission) -> float | None:
-    """The least that the detector needs of it; None where nobody has said."""
-    of = mission.detector
-    if of.needed_px_per_m is not None or of.kind != "drawn":
-        return of.needed_px_per_m
-    looks = {target.appearance for target in mission.targets} & PROTOTYPES.keys()
-    return max((PROTOTYPES[look].needed_px_per_m for look in looks), default=None)
-
-
-def tilt_rad(mission: Mission) -> float:
-    """How far the camera may look off straight down: as the drone banks, or as its gimbal errs."""
-    is_level = mission.camera.gimbal
-    return math.radians(GIMBAL_ERROR_DEG) if is_level else mission.flight.bank_rad
-
-
-def needed_altitude_m(mission: Mission) -> float:
-    """Height from which a tilted camera sees the whole footprint in its shorter direction."""
-    camera, off_rad = mission.camera.model, tilt_rad(mission)
-    half_angle_rad = min(camera.horizontal_fov_rad, camera.vertical_fov_rad) / 2.0
-    if half_angle_rad <= off_rad:
-        return math.inf
-    return mission.sensor_radius_m / math.tan(half_angle_rad - off_rad)
 
 
 def _area_fact(m: Mission) -> str:
@@ -294,7 +264,7 @@ def _terrain_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the ground's heights can be read, and are those that the camera looks at."""
     if mission.area.terrain is None:
         return
-    from dronemon.vision.terrain import read_heights
+    from dronemon.vision.heights import read_heights
 
     try:
         read_heights(mission.area.terrain)

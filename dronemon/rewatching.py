@@ -23,7 +23,6 @@ from dronemon.camera.taken import checked_place, number
 from dronemon.detecting import EveryOption, PosesOption, time_of_each
 from dronemon.errors import CameraError, OptionError
 from dronemon.events import Audience
-from dronemon.feasibility import needed_px_per_m
 from dronemon.flight_options import DEFAULT_MISSION
 from dronemon.frames import GeoPoint
 from dronemon.mission import Mission, find_mission, load_mission
@@ -36,6 +35,7 @@ from dronemon.terminal import FlightDisplay, console, facts_table, print_warning
 from dronemon.types import FloatArray
 from dronemon.vision.lens import Rectifier
 from dronemon.vision.registry import make_detector
+from dronemon.vision.view import needed_px_per_m
 from dronemon.viz import FlightView
 
 _INTERRUPTED, _ENDED = 130, "interrupted"

@@ -148,7 +148,7 @@ def test_weights_that_are_others_where_they_are_flown_are_told(tmp_path: Path) -
     )
     spec = next(asked.episodes())
     tracks.write_text("time,target,x,y\n0,a,0,0\n9,a,1,0.9\n")
-    with pytest.raises(OptionError, match=r"the tracks of .*tracks\.csv, are not those"):
+    with pytest.raises(OptionError, match=r"or of .*tracks\.csv, are not those"):
         list(share_out(sys.modules["dronemon.evaluation.evaluate"].fly_spec, [spec], 1))
 
 

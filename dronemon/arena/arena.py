@@ -222,13 +222,13 @@ class Arena:
 
     def grid(self, size: int) -> FloatArray:
         """Points of that grid, y changing fastest. -> (size * size, 2) float64 au."""
-        return _product(self.axes(size))
+        return _product(*self.axes(size))
 
-    def cells(self, size: int) -> FloatArray:
-        """Centres of size * size equal cells of the box, y changing fastest. -> (size², 2) au."""
-        shares = (np.arange(size) + 0.5) / size
+    def cells(self, columns: int, rows: int) -> FloatArray:
+        """Centres of equal cells of the box, y changing fastest. -> (columns * rows, 2) au."""
         low, _ = self.bounds
-        cells: FloatArray = low + self.extent_au * _product(np.stack([shares, shares]))
+        shares = _product(*((np.arange(size) + 0.5) / size for size in (columns, rows)))
+        cells: FloatArray = low + self.extent_au * shares
         return cells
 
 
@@ -248,9 +248,9 @@ def _polygon(border_au: Corners, no_fly_au: tuple[Corners, ...], margin_au: floa
     return arena
 
 
-def _product(axes: FloatArray) -> FloatArray:
-    """Every pair of coordinates. axes: (2, size) -> (size * size, 2)."""
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+def _product(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Every pair of coordinates. x: (m,), y: (n,) -> (m * n, 2)."""
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _tupled(value: Any) -> Any:

@@ -201,8 +201,7 @@ def evaluate_command(
         save_episodes=save_episodes,
         workers=workers if workers is not None else num_cores(),
     )
-    with nullcontext() if ray is None else _cluster(ray, workers, options) as cluster:
-        _evaluate(options, cluster)
+    _evaluate(options, nullcontext() if ray is None else _cluster(ray, workers, options))
 
 
 def _sweep(
@@ -248,11 +247,12 @@ def _cluster(ray: str, workers: int | None, options: Options) -> AbstractContext
     return join_cluster(ray, workers, options.out if options.save_episodes else None)
 
 
-def _evaluate(options: Options, cluster: Executor | None) -> None:
+def _evaluate(options: Options, cluster: AbstractContextManager[Executor | None]) -> None:
     """Run an evaluation, and say where its results lie or how it goes on."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     try:
-        evaluate(options, console, cluster)
+        with cluster as nodes:
+            evaluate(options, console, nodes)
     except KeyboardInterrupt:
         is_begun = (options.out / "results.jsonl").exists()
         kept = f"finished episodes are in {options.out}" if is_begun else "no episode was finished"

@@ -27,6 +27,7 @@ from dronemon.evaluation.results import Result, append_result, load_results
 from dronemon.evaluation.sections import table2_rows, ways_covered
 from dronemon.evaluation.tables import average_by_cell
 from dronemon.planner import Planner, create_planner
+from dronemon.problem import is_tracks
 from dronemon.terminal import LenientConsole
 from dronemon.version import code_version
 from dronemon.workers import share_out
@@ -172,14 +173,15 @@ def _check_files(planner: PlannerSpec, motion: str, horizon_au: float, settings:
     """Make sure that this process reads the files that the run was begun with."""
     if settings_digest(planner, motion, horizon_au) != settings:
         raise OptionError(
-            f"the weights or code of {planner.text}, or the tracks of {motion}, are not those that"
-            " the run was begun with; have them the same wherever episodes are flown"
+            f"the files of {planner.text}{f', or of {motion},' if is_tracks(motion) else ''} are"
+            " not those that the run was begun with; have them the same wherever episodes are"
+            " flown, or, if they were edited meanwhile, give the same command again"
         )
 
 
 @cache
 def _planner(spec: PlannerSpec, settings: str) -> Planner:
-    """One planner serves all episodes of a process; `settings` changes with its weights."""
+    """One planner serves all episodes of a process; `settings` changes with its files."""
     return create_planner(spec.kind, checkpoint=spec.checkpoint, history=spec.history)
 
 

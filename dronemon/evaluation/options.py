@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 from dronemon import __version__
@@ -138,8 +138,7 @@ class PlannerSpec:
         """Digest of weights and of others' code, so that others are another planner."""
         if has_weights(self.kind):
             return _file_digest(find_checkpoint(self.checkpoint))
-        files = files_outside(self.kind)
-        return _digest({"files": [_file_digest(path) for path in files]}) if files else None
+        return _digest_outside(self.kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -286,10 +285,10 @@ class Options:
 
 
 def settings_digest(planner: PlannerSpec, motion: str, horizon_au: float) -> str:
-    """Digest of what decides an outcome besides the rest of a key: files and version."""
+    """Digest of what decides an outcome besides the rest of a key: files, horizon and version."""
     tracks = {"tracks": _file_digest(Path(motion))} if is_tracks(motion) else {}
-    files = planner.files_digest
-    return _digest({"version": __version__, "horizon": horizon_au, "weights": files, **tracks})
+    facts = {"version": __version__, "horizon": horizon_au, **tracks}
+    return _digest({**facts, "weights": planner.files_digest})  # its name of old: results have it
 
 
 def _listed(values: Iterable[object]) -> str:
@@ -301,13 +300,18 @@ def _digest(facts: dict[str, object]) -> str:
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]
 
 
+@cache
+def _digest_outside(kind: str) -> str | None:
+    """Digest of a planner of others when this process first looked, which is how it is loaded."""
+    files = files_outside(kind)
+    return _digest({"files": [_file_digest(path) for path in files]}) if files else None
+
+
 def _file_digest(path: Path) -> str:
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as exc:
-        raise OptionError(
-            f"{path}, which decides an outcome, cannot be read: {exc.strerror}"
-        ) from exc
+    except (OSError, ValueError) as exc:
+        raise OptionError(f"{path}, which decides an outcome, cannot be read: {exc}") from exc
 
 
 def _require(is_met: bool, otherwise: str) -> None:

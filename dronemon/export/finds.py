@@ -14,8 +14,8 @@ from dronemon.export.formats import geojson
 from dronemon.export.story import Fix, Sighting, Story
 from dronemon.frames import ned_to_geo
 from dronemon.mission import Mission
-from dronemon.runner.ground import surface_of
 from dronemon.runner.inspection import lay_area
+from dronemon.runner.relief import surface_of
 from dronemon.types import Detection, Pose
 from dronemon.vision.ground_error import ground_covariance, radius_m, told_covariance
 

@@ -23,7 +23,7 @@ def draw(env: Env, seen: Observation, num_targets: int) -> list[ImageArray]:
     Of each target its belief's mean, and a dot where it truly is; darker ground where less is in
     doubt; the sensor's circle about the agent.
     """
-    cells = torch.as_tensor(ARENA.cells(_CELLS))
+    cells = torch.as_tensor(ARENA.cells(_CELLS, _CELLS))
     time_au = seen.length_au[:, None, None].expand(-1, len(cells), 1)
     query = torch.cat([cells.expand(len(time_au), -1, -1), time_au], dim=-1)
     posterior = fit(*env.observations()).predict(query[:, None])
@@ -42,7 +42,7 @@ def _picture(
 ) -> ImageArray:
     """One episode. mean, std: (N, cells along x, along y); targets_au: (N, 2)."""
     size = _CELLS * _CELL_PX
-    places_au = ARENA.cells(size).reshape(size, size, 2)
+    places_au = ARENA.cells(size, size).reshape(size, size, 2)
     picture = belief_rgb(mean, std).repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)
     for number, target_au in enumerate(targets_au):
         distance_au = np.linalg.norm(places_au - target_au, axis=-1)

@@ -49,7 +49,7 @@ class Walls(NamedTuple):
             return cls(arena.bounds, np.empty((0, 4)), np.empty((0, 0), dtype=np.uint8))
         half_au = arena.extent_au / (2 * _WALL_CELLS)
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half_au
-        is_in, is_out = region.holds(arena.cells(_WALL_CELLS)[:, None] + corners)
+        is_in, is_out = region.holds(arena.cells(_WALL_CELLS, _WALL_CELLS)[:, None] + corners)
         cells = np.where(is_in, _INSIDE, np.where(is_out, _OUTSIDE, _ACROSS)).astype(np.uint8)
         return cls(arena.bounds, region.edges, cells.reshape(_WALL_CELLS, _WALL_CELLS))
 
@@ -78,7 +78,7 @@ class Turns(NamedTuple):
             sight = np.empty((0, 0, 0), dtype=np.bool_)
             return cls(np.empty((0, 4)), np.empty((0, 2)), none, none.astype(np.int64), sight)
         ways, size = arena.ways, _SIGHT_CELLS
-        cells_au = arena.free.clip(arena.cells(size))
+        cells_au = arena.free.clip(arena.cells(size, size))
         seen = arena.free.is_free(cells_au[:, None], ways.corners_au).reshape(size, size, -1)
         around = np.pad(seen, ((1, 1), (1, 1), (0, 0)))
         beside = [around[i : i + size, j : j + size] for i in range(3) for j in range(3)]
@@ -115,7 +115,7 @@ class Ground(NamedTuple):
         if roadmap is None:
             none = np.empty((0, 0), dtype=np.int64)
             return cls(np.empty((0, 2)), none, none, walls, turns)
-        offset_au = arena.cells(NEAREST_CELLS)[:, None] - roadmap.nodes_au
+        offset_au = arena.cells(NEAREST_CELLS, NEAREST_CELLS)[:, None] - roadmap.nodes_au
         nearest = np.linalg.norm(offset_au, axis=-1).argmin(axis=-1)
         return cls(
             nodes=np.ascontiguousarray(roadmap.nodes_au),
@@ -134,7 +134,7 @@ def is_inside(walls, x, y):  # type: ignore[no-untyped-def]
         return False
     if walls.edges.shape[0] == 0:
         return True
-    column, row = cell(bounds, x, y, _WALL_CELLS)
+    column, row = cell(bounds, x, y, _WALL_CELLS, _WALL_CELLS)
     if walls.cells[column, row] != _ACROSS:
         return walls.cells[column, row] == _INSIDE
     inside = False
@@ -188,11 +188,11 @@ def drawn(walls, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def cell(bounds, x, y, size):  # type: ignore[no-untyped-def]
-    """Which of size * size equal cells a place of the box lies in. -> column, row."""
-    column = int((x - bounds[0, 0]) / (bounds[1, 0] - bounds[0, 0]) * size)
-    row = int((y - bounds[0, 1]) / (bounds[1, 1] - bounds[0, 1]) * size)
-    return min(column, size - 1), min(row, size - 1)
+def cell(bounds, x, y, columns, rows):  # type: ignore[no-untyped-def]
+    """Which of columns * rows equal cells a place of the box lies in. -> column, row."""
+    column = int((x - bounds[0, 0]) / (bounds[1, 0] - bounds[0, 0]) * columns)
+    row = int((y - bounds[0, 1]) / (bounds[1, 1] - bounds[0, 1]) * rows)
+    return min(column, columns - 1), min(row, rows - 1)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -200,7 +200,7 @@ def nearest_node(ground, x, y):  # type: ignore[no-untyped-def]
     """Node at a place of the arena, or -1 in free flight."""
     if ground.nodes.shape[0] == 0:
         return -1
-    column, row = cell(ground.walls.bounds, x, y, NEAREST_CELLS)
+    column, row = cell(ground.walls.bounds, x, y, NEAREST_CELLS, NEAREST_CELLS)
     return ground.nearest[column, row]
 
 
@@ -223,13 +223,13 @@ def is_clear(edges, x, y, to_x, to_y):  # type: ignore[no-untyped-def]
 def first_and_last_turn(turns, x, y, goal_x, goal_y, bounds):  # type: ignore[no-untyped-def]
     """Between which two corners the shortest way to a goal goes; -1, -1 where none is found."""
     count = turns.corners.shape[0]
-    column, row = cell(bounds, goal_x, goal_y, _SIGHT_CELLS)
+    column, row = cell(bounds, goal_x, goal_y, _SIGHT_CELLS, _SIGHT_CELLS)
     back = np.full(count, _FAR)
     for w in range(count):
         at_x, at_y = turns.corners[w, 0], turns.corners[w, 1]
         if turns.sight[column, row, w] and is_clear(turns.edges, at_x, at_y, goal_x, goal_y):
             back[w] = math.sqrt((at_x - goal_x) ** 2 + (at_y - goal_y) ** 2)
-    column, row = cell(bounds, x, y, _SIGHT_CELLS)
+    column, row = cell(bounds, x, y, _SIGHT_CELLS, _SIGHT_CELLS)
     shortest, first, last = _FAR, -1, -1
     for v in range(count):
         at_x, at_y = turns.corners[v, 0], turns.corners[v, 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -18,6 +19,8 @@ from dronemon.planner.tsp import ClairvoyantTspLoop, TspLoop, carried_on, last_s
 ENTRY_POINTS = "dronemon.planners"
 """Group of entry points by which other packages bring planners."""
 _ROLE = "planner"
+_KNOWN = {"dronemon", *sys.stdlib_module_names}
+"""Whose versions are told anyway."""
 
 
 def _load(path: str) -> Any:
@@ -89,18 +92,23 @@ def create_planner(
 def files_outside(kind: str) -> tuple[Path, ...]:
     """Files that decide how a planner of others plans; none for those that come with the package.
 
-    They are its module's and those that its class names in `files`, such as weights or modules of
-    its own, seen from the folder that we run in. Raises OptionError for a kind there is not, or if
-    `files` are no paths.
+    They are those of the module named, of its class and of that one's bases, and what it has in
+    `files`, such as weights or modules of its own, seen from the folder that we run in. Raises
+    OptionError for a planner that cannot be made, or if `files` are no paths.
     """
     if kind in _SHIPPED:
         return ()
-    make = find_class(path := _path_outside(kind), _ROLE)
-    named = getattr(make, "files", ())
+    path = _path_outside(kind)
+    planner = _make_outside(path)
+    named = getattr(planner, "files", ())
     if not isinstance(named, tuple | list) or not all(isinstance(f, str | Path) for f in named):
         raise OptionError(f"planner {path!r} has files {named!r}, which is no tuple of paths")
-    module = inspect.getsourcefile(inspect.getmodule(make) or make)
-    return tuple(map(Path, [*([module] if module else []), *named]))
+    modules = dict.fromkeys(
+        [path.partition(":")[0], *(c.__module__ for c in type(planner).__mro__)]
+    )
+    theirs = [name for name in modules if name.partition(".")[0] not in _KNOWN]
+    sources = [getattr(sys.modules.get(name), "__file__", None) for name in theirs]
+    return tuple(map(Path, [*filter(None, sources), *named]))
 
 
 def describe_planners() -> dict[str, str]:

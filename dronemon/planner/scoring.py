@@ -12,6 +12,8 @@ Unc counts it:
     is taken: that gains where the mean is false, as on the trail of old sightings behind a target,
     and costs near the target, where it bends the peak (the metric JSD). With mean mu there, and
     p the presence that the target's distance would give, squared error falls by mu (mu - 2 p).
+  * In a field that the horizon does not reach across, where the path ends counts, too: what it
+    would gain to fly on from there to each target, as far as its particles will be together.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from dronemon.arena import Arena
 from dronemon.planner.moving import cell
 from dronemon.planner.settings import SearchSettings
 from dronemon.problem import (
@@ -46,8 +49,8 @@ _REACH_AU = 0.25
 _REACH_BINS = 512
 _NEAR = 0.05
 """Squared distance, particle to agent, beyond which its probes are left alone."""
-MEAN_CELLS = 48
-"""Cells along each axis of the fields of posterior means."""
+MEAN_CELLS_PER_AU, MOST_MEAN_CELLS = 48.0, 96**2
+"""Of the fields of posterior means; cells of a large field are larger."""
 
 
 def _matern(distance: FloatArray) -> FloatArray:
@@ -65,6 +68,7 @@ class Tables(NamedTuple):
     known:       (OLDEST + 1,) float32 gain of a sighting by the age of the last
     shape_worth: worth of squared error of the mean
     discount:    (H,) float32
+    fading:      log of the discount of one step
     probe_au:    distance of the probes from a particle
     """
 
@@ -74,6 +78,7 @@ class Tables(NamedTuple):
     known: Float32Array
     shape_worth: float
     discount: Float32Array
+    fading: float
     probe_au: float
 
 
@@ -85,8 +90,10 @@ class Forecast(NamedTuple):
     probe_age: (P, 4)    int32 now
     sight_age: (P,)      int32 now
     first:     (N + 1,)  int64 each target's first particle
-    mean:      (N, C, C) float32 the beliefs' means now, in the cells of the arena
+    mean:      (N, C, R) float32 the beliefs' means now, in the cells of the arena
     bounds:    (2, 2)    float64 au the arena's
+    together:  (N,)      float32 share of a target's particles that are in view from one of them at
+               the end, on the average; empty where the horizon reaches across the arena
     """
 
     x: Float32Array
@@ -97,6 +104,14 @@ class Forecast(NamedTuple):
     first: IntArray
     mean: Float32Array
     bounds: FloatArray
+    together: Float32Array
+
+
+def mean_cells(arena: Arena) -> tuple[int, int]:
+    """Columns and rows of the fields of posterior means over an arena."""
+    wanted = MEAN_CELLS_PER_AU * arena.extent_au
+    columns, rows = np.rint(wanted * min(1.0, math.sqrt(MOST_MEAN_CELLS / wanted.prod())))
+    return max(int(columns), 1), max(int(rows), 1)
 
 
 def make_tables(settings: SearchSettings, speed: float) -> Tables:
@@ -123,6 +138,7 @@ def make_tables(settings: SearchSettings, speed: float) -> Tables:
         # A fast target soon leaves the shape behind.
         shape_worth=settings.shape_worth * 2.0 / (1.0 + speed * TIME_SCALE_AU / LENGTH_SCALE_AU),
         discount=(settings.discount ** np.arange(settings.horizon(speed))).astype(np.float32),
+        fading=math.log(settings.discount),
         probe_au=settings.probe_au,
     )
 
@@ -176,7 +192,7 @@ def score(path, forecast, tables, probe, sight, squared):  # type: ignore[no-unt
     rho = np.float32(tables.probe_au)
     scale = np.float32(_REACH_BINS / _REACH_AU**2)
     shape_worth = np.float32(tables.shape_worth)
-    size = forecast.mean.shape[1]
+    columns, rows = forecast.mean.shape[1], forecast.mean.shape[2]
     total = 0.0
     for k in range(path.shape[0]):
         passed = k + 1
@@ -185,7 +201,7 @@ def score(path, forecast, tables, probe, sight, squared):  # type: ignore[no-unt
             dx, dy = forecast.x[k, p] - ax, forecast.y[k, p] - ay
             squared[p] = dx * dx + dy * dy
         gained = np.float32(0.0)
-        cx, cy = cell(forecast.bounds, ax, ay, size)
+        cx, cy = cell(forecast.bounds, ax, ay, columns, rows)
         for i in range(forecast.mean.shape[0]):
             mean = max(forecast.mean[i, cx, cy], np.float32(0.0))  # as the metric JSD counts it
             cleared = shape_worth * mean * mean
@@ -216,4 +232,26 @@ def score(path, forecast, tables, probe, sight, squared):  # type: ignore[no-unt
                                 probe[p, q] = age - AGES_PER_STEP * passed
                 gained += gain * forecast.weight[p]
         total += tables.discount[k] * gained
+    if forecast.together.shape[0] > 0:
+        total += _gain_beyond(path, forecast, tables, probe, sight)
+    return total
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _gain_beyond(path, forecast, tables, probe, sight):  # type: ignore[no-untyped-def]
+    """What it would gain to fly on from the path's end to each target, as if to that one alone."""
+    horizon = path.shape[0]
+    total = 0.0
+    for i in range(forecast.together.shape[0]):
+        for p in range(forecast.first[i], forecast.first[i + 1]):
+            dx = forecast.x[horizon - 1, p] - path[horizon - 1, 0]
+            dy = forecast.y[horizon - 1, p] - path[horizon - 1, 1]
+            steps = horizon + math.sqrt(dx * dx + dy * dy) / MEASUREMENT_INTERVAL_AU
+            gain = tables.known[min(int(sight[p] + steps), OLDEST)]
+            for q in range(4):
+                old = min(int(probe[p, q] + AGES_PER_STEP * steps), NUM_AGES - 1)
+                if tables.seen_age < old:
+                    gain += tables.worth[tables.seen_age] - tables.worth[old]
+            worth = forecast.together[i] * forecast.weight[p] * math.exp(tables.fading * steps)
+            total += worth * gain
     return total

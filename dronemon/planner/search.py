@@ -20,7 +20,7 @@ from dronemon.planner.motion import ARRIVED_AU, step_towards, until_measurement_
 from dronemon.planner.particles import ParticleBelief
 from dronemon.planner.planner import Briefing, Snapshot, TargetsAt, Waypoint
 from dronemon.planner.settings import SearchSettings
-from dronemon.problem import MEASUREMENT_INTERVAL_AU, WINDOW_AU
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU, WINDOW_AU
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, IntArray
@@ -171,13 +171,28 @@ class SearchPlanner:
             first=first,
             mean=self._means(snapshot, num_targets),
             bounds=self._arena.bounds,
+            together=self._together(later_au[-1]),
         )
+
+    def _together(self, places_au: FloatArray) -> NDArray[np.float32]:
+        """How much of each target is in view at once, as `Forecast.together` has it.
+
+        places_au: (N, m, 2) au particles
+        """
+        if math.hypot(*self._arena.extent_au) <= self.settings.num_steps * MEASUREMENT_INTERVAL_AU:
+            return np.empty(0, dtype=np.float32)
+        apart_au = np.linalg.norm(places_au[:, :, None] - places_au[:, None], axis=-1)
+        shares: NDArray[np.float32] = (apart_au < SENSOR_RADIUS_AU).mean(
+            axis=(1, 2), dtype=np.float32
+        )
+        return self.settings.beyond_worth * shares
 
     def _means(self, snapshot: Snapshot, num_targets: int) -> NDArray[np.float32]:
         """The belief's means now, as `Forecast.mean` has it; 0 for an imagined target."""
-        cells_au = self._arena.cells(scoring.MEAN_CELLS)
+        columns, rows = scoring.mean_cells(self._arena)
+        cells_au = self._arena.cells(columns, rows)
         query_au = np.column_stack([cells_au, np.full(len(cells_au), snapshot.time_au)])
-        mean = np.zeros((num_targets, scoring.MEAN_CELLS, scoring.MEAN_CELLS), dtype=np.float32)
+        mean = np.zeros((num_targets, columns, rows), dtype=np.float32)
         known = snapshot.belief.num_targets
         mean[:known] = snapshot.belief.mean(query_au).reshape(known, *mean.shape[1:])
         return mean

@@ -81,6 +81,8 @@ class SearchSettings:
 
     While more targets may exist than are known, an imagined one stands for all of them.
     """
+    beyond_worth: float = 1.0
+    """Worth of what might be gained after the horizon, in a field that it does not reach across."""
     num_unknown: float = 4.0
     """Targets expected at first where their number is unknown."""
     motion: MotionSettings = field(default_factory=MotionSettings)

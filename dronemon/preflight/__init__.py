@@ -1,6 +1,6 @@
 """Go or no-go before a take-off."""
 
-from dronemon.preflight.findings import Facts, Finding, OwnFence, Sight, Verdict
+from dronemon.preflight.findings import Facts, Finding, OwnFence, Relief, Sight, Verdict
 from dronemon.preflight.table import PARAMETERS, against, judge, mending_options
 
 __all__ = [
@@ -8,6 +8,7 @@ __all__ = [
     "Facts",
     "Finding",
     "OwnFence",
+    "Relief",
     "Sight",
     "Verdict",
     "against",

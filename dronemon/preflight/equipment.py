@@ -55,6 +55,34 @@ def on_gimbal(facts: Facts, mission: Mission) -> Judgement:
     return go("it looks straight down") if facts.gimbal is None else no(facts.gimbal)
 
 
+def on_relief(facts: Facts, mission: Mission) -> Judgement:
+    """Whether hills stay below the flight, and the camera sees what it must over hill and dale."""
+    relief, altitude_m = facts.relief, mission.flight.altitude_m
+    if relief is None:
+        return go("no hills are known: area.terrain is not given")
+    least_m, most_m = altitude_m - relief.highest_m, altitude_m - relief.lowest_m
+    if least_m < mission.flight.stand_off_m:
+        return no(
+            f"the highest is {least_m:.0f} m below the flight, not {mission.flight.stand_off_m:g};"
+            f" set flight.altitude_m to {relief.highest_m + mission.flight.stand_off_m:.0f} or more"
+        )
+    seen = (
+        f"{least_m:.0f} to {most_m:.0f} m below the flight: {relief.px_m / most_m:.1f} to "
+        f"{relief.px_m / least_m:.1f} pixels a metre"
+    )
+    if least_m < relief.needed_m:
+        return no(
+            f"{seen}; over the highest the camera does not show all that is to be looked at: that "
+            f"takes {relief.needed_m:.0f} m; fly higher, or make the sensor radius smaller"
+        )
+    if relief.px_m / most_m < relief.needed_px_per_m:
+        return no(
+            f"{seen}; over the lowest the detector does not have the {relief.needed_px_per_m:g} "
+            "that it needs; fly lower, or use a camera with more pixels"
+        )
+    return go(seen)
+
+
 def on_camera(facts: Facts, mission: Mission) -> Judgement:
     """Whether pictures come, and in time."""
     if isinstance(facts.sight, CameraError):

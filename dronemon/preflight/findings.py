@@ -65,6 +65,23 @@ class OwnFence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Relief:
+    """The ground where a flight goes, and what its camera needs over it.
+
+    highest_m, lowest_m: above the take-off
+    px_m:                the camera's focal length: pixels a metre, times the height
+    needed_m:            least height from which it shows all that is to be looked at
+    needed_px_per_m:     of the detector; 0 if nobody has said
+    """
+
+    highest_m: float
+    lowest_m: float
+    px_m: float
+    needed_m: float
+    needed_px_per_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
     """All that the table looks at.
 
@@ -75,6 +92,7 @@ class Facts:
     unready:         why it cannot be armed; None if it can
     estimate_doubts: what is against the estimate, in words
     remote_id:       what its remote ID has against arming; None if none is heard
+    relief:          the ground below; None where it is taken for flat, or not known yet
     sight:           how the camera's first picture came, or why not
     gimbal:          what is against the gimbal; None if it looks down, or there is none
     detector:        what is against the detector; None if it was tried
@@ -91,6 +109,7 @@ class Facts:
     estimate_doubts: Sequence[str]
     gps: GpsFix | None
     remote_id: str | None
+    relief: Relief | None = None
     sight: Sight | CameraError
     gimbal: str | None = None
     detector: str | None = None

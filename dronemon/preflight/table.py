@@ -32,6 +32,12 @@ def _sight(facts: Facts) -> str:
     return f"a picture after {sight.wait_s:.2f} s, {sight.age_s:.2f} s old"
 
 
+def _relief(facts: Facts) -> str:
+    if (relief := facts.relief) is None:
+        return "taken for flat"
+    return f"{relief.lowest_m:+.0f} to {relief.highest_m:+.0f} m from the take-off's"
+
+
 _LEVELS = ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR", "COM_LOW_BAT_ACT")
 # fmt: off
 TABLE = (
@@ -62,6 +68,7 @@ TABLE = (
         lambda f: "not heard" if f.remote_id is None else "not ready" if f.remote_id else "ready"),
     Row("gimbal", (), equipment.on_gimbal,
         lambda f: "ready" if f.gimbal is None else "failed"),
+    Row("ground below", (), equipment.on_relief, _relief),
     Row("camera", (), equipment.on_camera, _sight),
     Row("detector", (), equipment.on_detector,
         lambda f: "ready" if f.detector is None else "failed"),

@@ -2,54 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 
 import numpy as np
 
-from dronemon.errors import MissionFileError, VehicleError
+from dronemon.errors import VehicleError
 from dronemon.events import AreaLaid, EventStream
 from dronemon.fence import Fence
-from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
+from dronemon.frames import AreaFrame, GeoPoint
 from dronemon.mission import Mission
 from dronemon.roadmap import Roadmap
 from dronemon.runner.inspection import fence_around, lay_area
 from dronemon.runner.preparation import FlightSetup
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import FenceItem, are_alike, polygon_items
-from dronemon.vision.surface import Plane, Surface
-from dronemon.vision.terrain import Terrain, read_heights
 
-_LEAST_CLEARANCE_M = 10.0
-_MOST_LOOKS = 500
-"""Along each side of the area, for its highest ground."""
 _POSES = 20
 """Whose mean height is the ground's."""
-
-
-def surface_of(mission: Mission, frame: AreaFrame, home: GeoPoint, origin: GeoPoint) -> Surface:
-    """The ground of a flight. Raises MissionFileError for a terrain that it cannot be flown over.
-
-    origin: of the frame
-    """
-    if mission.area.terrain is None:
-        return Plane(frame.ground_down_m)
-    grid, home_ned_m = read_heights(mission.area.terrain), geo_to_ned(home, origin)[:2]
-    terrain = Terrain(grid, origin, home_ned_m, frame.ground_down_m)
-    num_looks = min(math.ceil(frame.side_m / grid.cell_m) + 2, _MOST_LOOKS)
-    down_m = terrain.down_m(frame.au_to_ned(frame.arena.grid(num_looks)))
-    if np.isnan(down_m).any():
-        raise MissionFileError(
-            f"{mission.area.terrain}: has no heights of all the area and of the take-off place,"
-            f" {home}; name a larger grid"
-        )
-    rise_m, altitude_m = frame.ground_down_m - float(down_m.min()), mission.flight.altitude_m
-    if altitude_m < rise_m + _LEAST_CLEARANCE_M:
-        raise MissionFileError(
-            f"flight.altitude_m: {altitude_m:g} m above the take-off place are too low over ground"
-            f" that rises {rise_m:.0f} m above it; fly {rise_m + _LEAST_CLEARANCE_M:.0f} m up"
-        )
-    return terrain
 
 
 class Ground:

@@ -22,6 +22,7 @@ from dronemon.preflight import (
     Facts,
     Finding,
     OwnFence,
+    Relief,
     Sight,
     Verdict,
     against,
@@ -31,6 +32,7 @@ from dronemon.preflight import (
 from dronemon.recorder import NEEDED_BYTES
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.preparation import FlightSetup, try_detector
+from dronemon.runner.relief import relief_of
 from dronemon.runner.supervisor import FAILSAFE_HOLD_LIMIT_S
 from dronemon.types import Picture
 from dronemon.vehicle import AIRBORNE, VehicleLink, VehicleState
@@ -113,6 +115,14 @@ def fence_around(
     )
 
 
+def _relief(mission: Mission, frame: AreaFrame | None, link: VehicleLink) -> Relief | None:
+    """The ground below. Raises MissionFileError where its heights are not known."""
+    home, origin = link.state.home, link.state.origin
+    if frame is None or home is None or origin is None:
+        return None
+    return relief_of(mission, frame, home, origin)
+
+
 async def _own_fence(mission: Mission, frame: AreaFrame, link: VehicleLink) -> OwnFence:
     """Compare the vehicle's own fence with the flight's. Raises VehicleError."""
     areas, origin = areas_of(await link.read_fence()), link.state.origin
@@ -164,6 +174,7 @@ async def find(
         estimate_doubts=state.estimate_doubts,
         gps=state.gps,
         remote_id=state.remote_id,
+        relief=_relief(mission, frame, link),
         sight=sight,
         gimbal=gimbal,
         detector=detector,

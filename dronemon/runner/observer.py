@@ -15,8 +15,8 @@ from dronemon.frames import AreaFrame
 from dronemon.runner.battery import Battery
 from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.eyes import Eyes, Shot
-from dronemon.runner.ground import surface_of
 from dronemon.runner.preparation import LOOK_LIMIT_S, FlightSetup
+from dronemon.runner.relief import surface_of
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import Picture

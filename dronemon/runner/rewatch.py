@@ -19,9 +19,10 @@ from dronemon.frames import GeoPoint
 from dronemon.mission import Mission
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.runner.eyes import Eyes, Shot
-from dronemon.runner.ground import area_laid, surface_of, tell_laid
+from dronemon.runner.ground import area_laid, tell_laid
 from dronemon.runner.inspection import lay_area
 from dronemon.runner.preparation import draw_start_and_roadmap
+from dronemon.runner.relief import surface_of
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Picture, Pose

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from dronemon.errors import MissionFileError
-from dronemon.feasibility import flight_facts, load_checked, needed_altitude_m
+from dronemon.feasibility import flight_facts, load_checked
 from dronemon.mission import Mission, find_mission, load_mission, shipped_missions
 from dronemon.mission.addresses import mavlink_url_problem
 from dronemon.mission.faults import KINDS
 from dronemon.mission.template import mission_template
 from dronemon.types import APPEARANCES
+from dronemon.vision.view import needed_altitude_m
 
 ROOT = Path(__file__).parents[2]
 ANIMALS = (ROOT / "missions" / "animals.yaml").read_text().split("\n", 1)[1]

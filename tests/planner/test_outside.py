@@ -14,6 +14,7 @@ import pytest
 
 from dronemon import cli
 from dronemon.errors import OptionError
+from dronemon.evaluation import options
 from dronemon.evaluation.options import PlannerSpec
 from dronemon.planner import create_planner
 from dronemon.planner.registry import describe_planners
@@ -41,7 +42,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (tmp_path / "broken_planner.py").write_text("import nothing_of_this_name\n")
     (tmp_path / "leaving_planner.py").write_text("import sys\nsys.exit(3)\n")
     yield tmp_path
-    for name in ("my_planner", "wrong_planners", "broken_planner", "leaving_planner"):
+    for name in ("my_planner", "mine", "wrong_planners", "broken_planner", "leaving_planner"):
         sys.modules.pop(name, None)
 
 
@@ -89,36 +90,74 @@ def test_what_is_wrong_with_a_planner_is_explained(folder: Path, path: str, word
     assert words in str(caught.value)
 
 
-def test_what_an_edited_planner_flew_is_not_what_it_flies(folder: Path) -> None:
-    plain = PlannerSpec(kind="my_planner:Curious")
-    before = plain.files_digest
-    assert PlannerSpec(kind="tsp").files_digest is None
-    with (folder / "my_planner.py").open("a") as file:
-        file.write('class Learned(Curious):\n    files = ("helper.py", "weights/agent.pt")\n')
-    edited = plain.files_digest
-    assert edited != before
+EDITIONS = """
+import functools
+class Learned(Curious):
+    files = ("helper.py", "weights/agent.pt")
+class Listless(Curious):
+    files = "helper.py"
+class Nul(Curious):
+    files = ("a\\0b",)
+class Parted(Curious):
+    def __init__(self, strength): ...
+class Homeless(Curious):
+    __module__ = "nowhere"
+strong = functools.partial(Parted, 2.0)
+"""
+PACKAGE = """
+from my_planner import Curious
+class Sub(Curious): ...
+def make():
+    return Curious()
+"""
+
+
+def digest(kind: str) -> str | None:
+    """Of a planner as a new process would have it."""
+    options._digest_outside.cache_clear()
+    for name in [n for n in sys.modules if n.partition(".")[0] in ("my_planner", "mine")]:
+        del sys.modules[name]
+    importlib.invalidate_caches()
+    for cached in Path().rglob("__pycache__"):
+        shutil.rmtree(cached)
+    return PlannerSpec(kind=kind).files_digest
+
+
+KINDS = ["my_planner:Curious", "my_planner:strong", "my_planner:Homeless", "mine:Sub", "mine:make"]
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_an_edited_planner_flew_is_not_what_it_flies(kind: str) -> None:
+    Path("my_planner.py").write_text(CODE + EDITIONS)
+    Path("mine").mkdir()
+    Path("mine/__init__.py").write_text(PACKAGE)
+    before = digest(kind)
+    assert before is not None
+    assert digest(kind) == before
+    Path("my_planner.py").write_text(CODE + EDITIONS + "# edited")
+    assert PlannerSpec(kind=kind).files_digest == before  # as it is loaded
+    assert digest(kind) != before
+    assert digest("tsp") is None
+
+
+@pytest.mark.usefixtures("folder")
+def test_what_a_planner_names_belongs_to_it() -> None:
+    Path("my_planner.py").write_text(CODE + EDITIONS)
     with pytest.raises(OptionError, match=r"^helper\.py, which decides an outcome, cannot be read"):
-        _ = learned(folder).files_digest
-    (folder / "weights").mkdir()
-    digests = {edited, before}
+        digest("my_planner:Learned")
+    with pytest.raises(OptionError, match=r"has files 'helper\.py', which is no tuple of paths"):
+        digest("my_planner:Listless")
+    with pytest.raises(OptionError, match="which decides an outcome, cannot be read"):
+        digest("my_planner:Nul")
+    Path("weights").mkdir()
+    digests = set()
     for content in ("1", "2"):
         for name in ("helper.py", "weights/agent.pt"):
-            (folder / name).write_text(content)
-            if (folder / "weights" / "agent.pt").exists():
-                digests.add(learned(folder).files_digest)
-    assert len(digests) == 5
-    assert before is not None
-    (folder / "my_planner.py").write_text(CODE + '    files = "helper.py"\n')
-    with pytest.raises(OptionError, match=r"has files 'helper\.py', which is no tuple of paths"):
-        _ = learned(folder, "Curious").files_digest
-
-
-def learned(folder: Path, name: str = "Learned") -> PlannerSpec:
-    """A planner of the module as it is now."""
-    sys.modules.pop("my_planner", None)
-    importlib.invalidate_caches()
-    shutil.rmtree(folder / "__pycache__", ignore_errors=True)
-    return PlannerSpec(kind=f"my_planner:{name}")
+            Path(name).write_text(content)
+            if Path("weights/agent.pt").exists():
+                digests.add(digest("my_planner:Learned"))
+    assert len(digests) == 3
 
 
 def test_weights_are_refused(folder: Path) -> None:

@@ -16,6 +16,7 @@ def test_refinement_changes_one_goal_and_keeps_the_others_in_order():
         first=np.array([0, 3]),
         mean=np.zeros((1, 2, 2), dtype=np.float32),
         bounds=ARENA.bounds,
+        together=np.empty(0, dtype=np.float32),
     )
     before = np.zeros((paths.MAX_GOALS, 2))
     before[:5] = (np.arange(5)[:, None] + [1.0, 1.5]) / 10.0

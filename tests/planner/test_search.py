@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from arenas import U
 
+from dronemon.arena import ARENA, Arena
 from dronemon.belief import Belief
 from dronemon.errors import PlannerError
-from dronemon.planner import Briefing, Snapshot, walking
+from dronemon.planner import Briefing, Snapshot, scoring, walking
 from dronemon.planner.paths import Found
 from dronemon.planner.search import (
     ClairvoyantSearchPlanner,
@@ -259,3 +260,10 @@ def test_all_walks_are_compiled_before_take_off():
     fly(SearchPlanner(QUICK), length_au=0.1)
     called = (walking.walk, walking.refuted, walking.walk_anew, walking.outlived, walking.doubts)
     assert all(function.signatures for function in called)
+
+
+def test_fields_of_means_are_as_fine_as_ever_in_the_square_and_bounded_in_large_fields() -> None:
+    assert scoring.mean_cells(ARENA) == (48, 48)
+    columns, rows = scoring.mean_cells(Arena(high_au=(12.5, 7.5)))
+    assert columns * rows <= 96**2 * 1.02
+    assert columns / rows == pytest.approx(12.5 / 7.5, rel=0.02)

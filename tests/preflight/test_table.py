@@ -13,6 +13,7 @@ from dronemon.preflight import (
     Facts,
     Finding,
     OwnFence,
+    Relief,
     Sight,
     Verdict,
     against,
@@ -67,6 +68,35 @@ def test_a_vehicle_that_nothing_is_against_is_go_in_every_row():
     assert [finding.name for finding in findings] == [row.name for row in TABLE]
     assert {finding.judgement.verdict for finding in findings} == {GO}
     assert mending_options(findings) == ""
+
+
+RELIEF = Relief(highest_m=10.0, lowest_m=-5.0, px_m=400.0, needed_m=30.0, needed_px_per_m=5.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict", "words"),
+    [
+        ({}, GO, "35 to 50 m below the flight: 8.0 to 11.4 pixels a metre"),
+        ({"highest_m": 15.1}, NO_GO, "does not show all that is to be looked at: that takes 30 m"),
+        (
+            {"highest_m": 38.0},
+            NO_GO,
+            "is 7 m below the flight, not 10; set flight.altitude_m to 4",
+        ),
+        ({"lowest_m": -36.0}, NO_GO, "over the lowest the detector does not have the 5 that it"),
+        ({"lowest_m": -36.0, "needed_px_per_m": 0.0}, GO, "35 to 81 m below the flight"),
+    ],
+)
+def test_hills_stay_below_the_flight_and_the_camera_sees_enough_over_hill_and_dale(
+    changes: dict[str, float], verdict: Verdict, words: str
+):
+    found = _found("ground below", replace(FACTS, relief=replace(RELIEF, **changes)))
+    assert found.judgement.verdict is verdict
+    assert words in found.judgement.meaning
+    assert found.value == (
+        f"{changes.get('lowest_m', -5.0):+.0f} to {changes.get('highest_m', 10.0):+.0f} m from the"
+        " take-off's"
+    )
 
 
 def test_no_height_of_the_return_mends_an_area_too_far_away():

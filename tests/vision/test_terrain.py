@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
+import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from hypothesis import given
 from hypothesis import strategies as st
+from rasterio.transform import from_origin
+from rasterio.warp import transform as warp
 
 from dronemon.errors import CameraError, MissionFileError
 from dronemon.frames import GeoPoint, geo_to_ned, ground_to_pixel
 from dronemon.types import CameraModel, FloatArray, Pose
 from dronemon.vision.ground_error import ground_jacobian
+from dronemon.vision.heights import HeightGrid, read_heights
 from dronemon.vision.surface import Plane, down_below_m
-from dronemon.vision.terrain import HeightGrid, Terrain, read_heights
+from dronemon.vision.terrain import Terrain
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.radians(90))
 ORIGIN = GeoPoint(latitude_deg=-2.3, longitude_deg=34.8, altitude_m=1600.0)
@@ -126,12 +133,72 @@ def test_what_is_wrong_with_a_file_is_told_with_its_line(
     assert words in str(failed.value)
 
 
-def test_what_is_no_file_or_no_text_is_told(tmp_path: Path):
-    with pytest.raises(MissionFileError, match="cannot be read"):
-        read_heights(str(tmp_path / "none.asc"))
-    (tmp_path / "ground.tif").write_bytes(b"II*\x00\xff\xfe")
-    with pytest.raises(MissionFileError, match="cannot be read"):
-        read_heights(str(tmp_path / "ground.tif"))
+@pytest.mark.parametrize("name", ["none.asc", "none.tif", "text.asc", "ground.tif"])
+def test_what_is_no_file_of_its_kind_is_told(tmp_path: Path, name: str):
+    if not name.startswith("none"):
+        (tmp_path / name).write_bytes(b"II*\x00\xff\xfe")
+    with pytest.raises(MissionFileError, match=rf"{name}: cannot be read"):
+        read_heights(str(tmp_path / name))
+
+
+def geotiff(path: Path, heights_m: FloatArray, crs: str | None, transform: Affine, **more) -> str:
+    size = {"width": heights_m.shape[1], "height": heights_m.shape[0], "count": 1}
+    terms = {**size, "dtype": heights_m.dtype, "crs": crs, "transform": transform, **more}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # one without coordinates is meant
+        with rasterio.open(path, "w", driver="GTiff", **terms) as file:
+            file.write(heights_m, 1)
+    return str(path)
+
+
+def test_a_geotiff_in_degrees_is_the_same_as_its_ascii_grid(tmp_path: Path):
+    heights_m = np.array([[10, 11, 12], [20, -9999, 22]], dtype=np.int16)
+    transform = from_origin(34.8, -2.298, 0.001, 0.001)
+    path = geotiff(tmp_path / "ground.tif", heights_m, "EPSG:4326", transform, nodata=-9999)
+    grid, same = read_heights(path), read_heights(written(tmp_path, GRID))
+    np.testing.assert_allclose(grid.heights_m, same.heights_m)
+    assert (grid.south_deg, grid.west_deg, grid.cell_deg) == pytest.approx(
+        (same.south_deg, same.west_deg, same.cell_deg)
+    )
+
+
+def test_a_geotiff_in_metres_is_brought_to_degrees(tmp_path: Path):
+    """A plane that rises to the north-east, in UTM: a metre for ten each way."""
+    rows, columns = np.indices((60, 80))
+    heights_m = (500.0 + columns - rows).astype(np.float32)  # cells of 10 m, the north first
+    transform = from_origin(700_000.0, 9_750_000.0, 10.0, 10.0)
+    grid = read_heights(geotiff(tmp_path / "ground.TIFF", heights_m, "EPSG:32736", transform))
+    east_m = 700_000.0 + np.arange(100, 700, 37)
+    longitude, latitude = warp("EPSG:32736", "EPSG:4326", east_m, np.full_like(east_m, 9_749_750.0))
+    expected = 500.0 + (east_m - 700_005.0) / 10.0 - 24.5
+    got = grid.at(np.column_stack([latitude, longitude]))
+    np.testing.assert_allclose(got, expected, atol=0.15)
+    assert grid.cell_m == pytest.approx(10.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("heights_m", "crs", "words"),
+    [
+        (np.ones((2, 2), dtype=np.float32), None, "does not say in what coordinates it is"),
+        (np.full((3, 3), 9e4, dtype=np.float32), "EPSG:4326", "90000 m is no height on Earth"),
+        (np.full((3, 3), np.nan, dtype=np.float32), "EPSG:4326", "there are no heights in it"),
+        (np.ones((1, 3), dtype=np.float32), "EPSG:4326", "3 by 1 heights; there are to be 2"),
+    ],
+)
+def test_what_is_wrong_with_a_geotiff_is_told(
+    tmp_path: Path, heights_m: FloatArray, crs: str | None, words: str
+):
+    path = geotiff(tmp_path / "ground.tif", heights_m, crs, from_origin(34.8, -2.3, 0.001, 0.001))
+    with pytest.raises(MissionFileError, match=rf"ground\.tif: .*{words}"):
+        read_heights(path)
+
+
+def test_without_rasterio_a_geotiff_says_what_brings_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(MissionFileError, match=r"pip install 'dronemon\[terrain\]' brings it"):
+        read_heights(str(tmp_path / "other.tif"))
 
 
 def test_flat_terrain_is_a_plane():
