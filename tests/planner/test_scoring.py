@@ -57,6 +57,6 @@ def test_where_a_path_ends_counts_by_who_is_beyond_it_as_far_as_that_one_can_be_
     ahead, back = gains
     certain = tables.worth[tables.seen_age] - tables.worth[scoring.NUM_AGES - 1]
     found = tables.known[20 + 32] + 4.0 * certain  # 2 measurements ahead and 30 beyond
-    expected = (together or 0.0) * SearchSettings().discount ** 32 * found
+    expected = (together or 0.0) * SearchSettings().discount ** 32.5 * found
     assert ahead == pytest.approx(expected, rel=1e-5)
     assert (ahead > back) == bool(together)
