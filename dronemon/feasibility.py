@@ -13,7 +13,7 @@ from dronemon.mission import Mission, MissionFile, find_mission, load_mission, m
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
 from dronemon.mission.document import Overrides, Problem
-from dronemon.mission.field import field_problems
+from dronemon.mission.field import field_problems, flown_over
 from dronemon.mission.schema import Planner as PlannerSection
 from dronemon.planner import Clairvoyant, Planner, create_planner, has_weights, planner_names
 from dronemon.planner.registry import is_bound
@@ -94,10 +94,15 @@ def _area_fact(m: Mission) -> str:
     width_m, height_m = au_m * arena.extent_au
     return (
         f"{1e-4 * au_m**2 * arena.field.area_au2:.1f} ha in {width_m:.0f} m by {height_m:.0f} m,"
-        f" {turned}; {len(arena.no_fly_au)} no-fly zones. The drone keeps"
+        f" {turned}; {len(arena.no_fly_au)} no-fly zones{_flown_over(m)}. The drone keeps"
         f" {m.flight.clearance_m:.0f} m from them and the border:"
         f" {arena.free.area_au2 / arena.field.area_au2:.0%} is left to fly in"
     )
+
+
+def _flown_over(m: Mission) -> str:
+    names = flown_over(m)
+    return f", and {len(names)} that it flies over ({', '.join(names[:5])})" if names else ""
 
 
 def flight_facts(m: Mission) -> dict[str, str]:

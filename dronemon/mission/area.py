@@ -28,6 +28,8 @@ class NoFly(Section):
     """Its corners in order, [latitude, longitude] each."""
     polygon_m: PolygonM | None = None
     """Its corners in order, metres [east, north] each of what the area's count from."""
+    below_m: float | None = Field(None, gt=0.0, le=500.0)
+    """How far up from the take-off it reaches; all the way if absent."""
 
     @model_validator(mode="after")
     def _one_polygon(self) -> NoFly:
@@ -69,7 +71,7 @@ class Area(Section):
     longitude_deg: float | None = Field(None, ge=-180.0, le=180.0)
     """Longitude of the centre, from which metres count; home if absent."""
     terrain: str | None = None
-    """Heights of the ground, an ESRI ASCII grid in WGS 84 degrees (.asc); flat if absent."""
+    """Heights of the ground: a GeoTIFF, or an ESRI ASCII grid in degrees (.asc); flat if absent."""
 
     @property
     def size(self) -> tuple[str, float]:

@@ -48,7 +48,7 @@ def lay_field(area: Area, frame: AreaFrame, origin: GeoPoint) -> Field:
         else:
             assert zone.polygon_m is not None  # one of them is given
             corners_m = _from_centre(zone.polygon_m, frame)
-        zones.append(LaidZone(name=zone.name, corners_ned_m=corners_m))
+        zones.append(LaidZone(name=zone.name, corners_ned_m=corners_m, below_m=zone.below_m))
     field = replace(field, no_fly=tuple(zones))
     if flaw := field.flaw():
         raise MissionFileError(flaw)
@@ -77,8 +77,8 @@ def mission_arena(mission: Mission) -> Arena:
     area, flight = mission.area, mission.flight
     if area.is_square:
         return ARENA
-    frame = _frame(mission, (0.0, 0.0), 0.0)
-    field = lay_field(area, frame, field_centre(area) or GeoPoint.at((0.0, 0.0)))
+    frame, whole = _laid(mission)
+    field = whole.at(flight.altitude_m - flight.stand_off_m)
     zones_au = [frame.ned_to_au(zone.corners_ned_m) for zone in field.no_fly]
     try:
         arena = Arena.polygon(
@@ -99,6 +99,22 @@ def mission_arena(mission: Mission) -> Arena:
             " slower, widen the way there, or make it a field of its own"
         )
     return arena
+
+
+def flown_over(mission: Mission) -> list[str]:
+    """Names of no-fly zones that do not reach up to the patrol. Raises MissionFileError."""
+    if mission.area.is_square:
+        return []
+    _, field = _laid(mission)
+    left = field.at(mission.flight.altitude_m - mission.flight.stand_off_m).no_fly
+    return [zone.name for zone in field.no_fly if zone not in left]
+
+
+def _laid(mission: Mission) -> tuple[AreaFrame, Field]:
+    """The mission's frame around (0, 0), and the field with all its zones in it."""
+    frame = _frame(mission, (0.0, 0.0), 0.0)
+    origin = field_centre(mission.area) or GeoPoint.at((0.0, 0.0))
+    return frame, lay_field(mission.area, frame, origin)
 
 
 def lay_frame(

@@ -48,7 +48,7 @@ class Flight(Section):
     altitude_m: float = Field(45.0, ge=2.0, le=500.0)
     """Height above the take-off point on patrol."""
     stand_off_m: float = Field(10.0, ge=2.0, le=500.0)
-    """How far below the patrol the highest ground may be, where area.terrain has its heights."""
+    """How far below the patrol the highest ground and zones that it flies over have to be."""
     cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0)
     """Ground speed on patrol."""
     max_speed_m_s: float | None = Field(None, ge=0.5, le=50.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 NAMED_SO = re.compile(r"\s*no[\W_]?fly", re.IGNORECASE)
 _YES, _NO = {"true", "yes", "1"}, {"false", "no", "0", "", "none"}
 _LONGEST_NAME = 80
+_HIGHEST_M = 500.0
 
 
 class Flaw(ValueError):
@@ -37,6 +39,7 @@ class Feature:
 
     label:    what errors call it
     name:     as the file has it, on one line; empty if it has none
+    below_m:  how far up it is no-fly; None: all the way
     polygons: none of a point, a line and so on
     """
 
@@ -44,6 +47,7 @@ class Feature:
     name: str
     is_no_fly: bool
     polygons: tuple[Polygon, ...]
+    below_m: float | None = None
 
 
 def plain_name(given: object) -> str:
@@ -52,6 +56,19 @@ def plain_name(given: object) -> str:
         return ""
     text = f"{given:g}" if isinstance(given, float) else str(given)
     return "".join(c for c in " ".join(text.split()) if c.isprintable())[:_LONGEST_NAME]
+
+
+def top_m(mark: object) -> float | None:
+    """A feature's property `below_m`, if it has one. Raises Flaw."""
+    if mark is None:
+        return None
+    try:
+        height_m = float(str(mark))
+    except ValueError:
+        height_m = math.nan
+    if isinstance(mark, bool) or not 0.0 < height_m <= _HIGHEST_M:
+        raise Flaw(f"below_m is {str(mark)[:_LONGEST_NAME]!r}, not a height up to {_HIGHEST_M:g} m")
+    return height_m
 
 
 def is_no_fly(name: str, mark: object) -> bool:

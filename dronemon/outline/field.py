@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import shapely
 
@@ -13,10 +13,15 @@ _LEAST_M2 = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaidZone:
-    """A no-fly zone. corners_ned_m: (K, 2) float64 north, east in m, in order, not closed."""
+    """A no-fly zone.
+
+    corners_ned_m: (K, 2) float64 north, east in m, in order, not closed
+    below_m:       how far up it reaches; None: all the way
+    """
 
     name: str
     corners_ned_m: FloatArray
+    below_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,6 +35,11 @@ class Field:
     border_ned_m: FloatArray
     no_fly: tuple[LaidZone, ...]
 
+    def at(self, height_m: float) -> Field:
+        """The field at a height: without the zones that do not reach up to it."""
+        binding = (z for z in self.no_fly if z.below_m is None or height_m < z.below_m)
+        return replace(self, no_fly=tuple(binding))
+
     def flaw(self) -> str | None:
         """Say why it cannot be flown in, if so: what crosses itself, or that nothing is left."""
         border = shapely.Polygon(self.border_ned_m)
@@ -39,8 +49,11 @@ class Field:
         for name, shape in named:
             if not shape.is_valid:
                 return f"{name} crosses or touches itself; redraw it"
-        if border.difference(shapely.union_all(zones)).area >= _LEAST_M2:
+        named = [
+            pair for pair, zone in zip(named[1:], self.no_fly, strict=True) if not zone.below_m
+        ]
+        if border.difference(shapely.union_all([zone for _, zone in named])).area >= _LEAST_M2:
             return None
-        alone = [name for name, zone in named[1:] if border.difference(zone).area < _LEAST_M2]
-        names = ", ".join(alone[:1] or [name for name, _ in named[1:]])
+        alone = [name for name, zone in named if border.difference(zone).area < _LEAST_M2]
+        names = ", ".join(alone[:1] or [name for name, _ in named])
         return f"no-fly {names} covers all of the field, so that nothing is left to fly in"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from dronemon.outline.feature import Feature, Flaw, Polygon, blamed_on, is_no_fly, plain_name
+from dronemon.outline.feature import Feature, Flaw, Polygon, blamed_on, is_no_fly, plain_name, top_m
 from dronemon.outline.json_file import listed, mapped, numbers, parse_json
 from dronemon.outline.rings import polygon_in_degrees
 
@@ -43,6 +43,7 @@ def _feature(number: int, entry: object) -> Feature:
             name=name,
             is_no_fly=is_no_fly(name, properties.get("no_fly")),
             polygons=tuple(_polygons(feature.get("geometry"))),
+            below_m=top_m(properties.get("below_m")),
         )
 
 

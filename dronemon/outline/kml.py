@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, fromstring
 
-from dronemon.outline.feature import Feature, Flaw, Polygon, blamed_on, is_no_fly, plain_name
+from dronemon.outline.feature import Feature, Flaw, Polygon, blamed_on, is_no_fly, plain_name, top_m
 from dronemon.outline.rings import polygon_in_degrees
 
 _ON_THE_GROUND = {"clampToGround", "clampToSeaFloor"}
@@ -40,15 +40,16 @@ def _feature(number: int, mark: Element) -> Feature:
         return Feature(
             label=label,
             name=name,
-            is_no_fly=is_no_fly(name, _no_fly_mark(mark)),
+            is_no_fly=is_no_fly(name, _property(mark, "no_fly")),
             polygons=tuple(map(_polygon, _all(mark, "Polygon"))),
+            below_m=top_m(_property(mark, "below_m")),
         )
 
 
-def _no_fly_mark(mark: Element) -> str | None:
-    """What its ExtendedData, typed or not, has as no_fly."""
+def _property(mark: Element, name: str) -> str | None:
+    """What its ExtendedData, typed or not, has under a name."""
     for data in (*_all(mark, "Data"), *_all(mark, "SimpleData")):
-        if data.get("name", "").lower() == "no_fly":
+        if data.get("name", "").lower() == name:
             return _text(data, "value") or data.text
     return None
 

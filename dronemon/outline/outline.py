@@ -13,10 +13,15 @@ from dronemon.outline.field import Field, LaidZone
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Zone:
-    """A no-fly zone. corners_deg: latitude and longitude of each in order, not closed."""
+    """A no-fly zone.
+
+    corners_deg: latitude and longitude of each in order, not closed
+    below_m:     how far up it reaches; None: all the way
+    """
 
     name: str
     corners_deg: Ring
+    below_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +43,7 @@ class Outline:
                 LaidZone(
                     name=zone.name,
                     corners_ned_m=degrees_to_ned(np.array(zone.corners_deg), origin)[:, :2],
+                    below_m=zone.below_m,
                 )
                 for zone in self.no_fly
             ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import shapely
@@ -88,9 +89,9 @@ def _outline(features: list[Feature]) -> Outline:
             f"no-fly {_HOW_TO_MARK}"
         )
     border, *holes = _in_one(fields[0])
-    rings = [("", hole) for hole in holes]
-    rings += [named for feature in shown if feature.is_no_fly for named in _zone_rings(feature)]
-    outline = Outline(border_deg=_unwound(border, 0.0), no_fly=tuple(_zones(rings, border[0])))
+    zones = [Zone(name="", corners_deg=hole) for hole in holes]
+    zones += [zone for feature in shown if feature.is_no_fly for zone in _zones_of(feature)]
+    outline = Outline(border_deg=_unwound(border, 0.0), no_fly=tuple(_named(zones, border[0])))
     for zone in outline.no_fly:
         if (off_m := away_m(outline.border_deg, GeoPoint.at(zone.corners_deg[0]))) > FARTHEST_M:
             raise Flaw(
@@ -102,19 +103,21 @@ def _outline(features: list[Feature]) -> Outline:
     return outline
 
 
-def _zone_rings(feature: Feature) -> Iterator[tuple[str, Ring]]:
-    """Name and ring of each part of a no-fly zone."""
+def _zones_of(feature: Feature) -> Iterator[Zone]:
+    """Each part of a no-fly feature."""
     for number, (ring, *_) in enumerate(feature.polygons, start=1):
         is_only = len(feature.polygons) == 1 or not feature.name
-        yield feature.name if is_only else f"{feature.name} {number}", ring
+        name = feature.name if is_only else f"{feature.name} {number}"
+        yield Zone(name=name, corners_deg=ring, below_m=feature.below_m)
 
 
-def _zones(rings: list[tuple[str, Ring]], near: tuple[float, float]) -> Iterator[Zone]:
-    """Zones of named rings; the others are numbered."""
+def _named(zones: list[Zone], near: tuple[float, float]) -> Iterator[Zone]:
+    """Zones with longitudes near a place, numbered where they have no name."""
     number = 0
-    for name, ring in rings:
-        number += not name
-        yield Zone(name=name or f"zone {number}", corners_deg=_unwound(ring, near[1]))
+    for zone in zones:
+        number += not zone.name
+        name = zone.name or f"zone {number}"
+        yield replace(zone, name=name, corners_deg=_unwound(zone.corners_deg, near[1]))
 
 
 def _in_one(field: Feature) -> Polygon:

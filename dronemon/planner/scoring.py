@@ -49,7 +49,7 @@ _REACH_AU = 0.25
 _REACH_BINS = 512
 _NEAR = 0.05
 """Squared distance, particle to agent, beyond which its probes are left alone."""
-MEAN_CELLS_PER_AU, MOST_MEAN_CELLS = 48.0, 96**2
+MEAN_CELLS_PER_AU, MOST_MEAN_CELLS = 48.0, 64**2
 """Of the fields of posterior means; cells of a large field are larger."""
 
 

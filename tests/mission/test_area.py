@@ -11,10 +11,10 @@ import pytest
 import shapely
 
 from dronemon.errors import MissionFileError
-from dronemon.feasibility import load_checked
+from dronemon.feasibility import flight_facts, load_checked
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import Mission, MissionFile, load_mission, mission_arena
-from dronemon.mission.field import lay_field
+from dronemon.mission.field import flown_over, lay_field
 from dronemon.outline import Field, read_outline
 from dronemon.runner.inspection import lay_area
 
@@ -76,6 +76,33 @@ def test_a_mission_that_was_written_with_its_defaults_is_the_same(load, area: st
 
 
 @pytest.mark.parametrize(
+    ("altitude_m", "stand_off_m", "is_over"),
+    [(45, 10, False), (69.9, 10, False), (70, 10, True), (62, 2, True), (61.9, 2, False)],
+)
+def test_a_zone_of_some_height_is_flown_over_from_well_above_it(
+    load, altitude_m: float, stand_off_m: float, is_over: bool
+):
+    hut = "{name: hut, below_m: 60, polygon_m: [[-20, -20], [20, -20], [20, 20]]}"
+    tower = "{name: tower, polygon_m: [[50, 50], [60, 50], [60, 60]]}"
+    mission = load(f"no_fly: [{hut}, {tower}]")
+    flight = mission.flight.model_copy(
+        update={"altitude_m": altitude_m, "stand_off_m": stand_off_m}
+    )
+    mission = mission.model_copy(update={"flight": flight})
+    assert len(mission_arena(mission).no_fly_au) == 2 - is_over
+    assert flown_over(mission) == ["hut"] * is_over
+    told = flight_facts(mission)["area"]
+    assert ("1 no-fly zones, and 1 that it flies over (hut)." in told) == is_over
+
+
+def test_a_zone_that_covers_all_may_be_flown_over(load):
+    roofs = f"no_fly: [{{name: roofs, below_m: 20, polygon_m: {COVER_M}}}]"
+    assert mission_arena(load(roofs)).no_fly_au == ()
+    with pytest.raises(MissionFileError, match="nothing is left to fly in"):
+        load(f"{roofs.replace('20', '40', 1)}")
+
+
+@pytest.mark.parametrize(
     ("area", "key", "words"),
     [
         (f"polygon_m: {SQUARE_M}", "area", "polygon_m needs sensor_radius_m"),
@@ -115,6 +142,11 @@ def test_a_mission_that_was_written_with_its_defaults_is_the_same(load, area: st
             "7 cannot be this: Its corners in order",
         ),
         (f"no_fly: [{{polygon_m: {SQUARE_M}}}]", "area.no_fly[0].name", "is missing"),
+        (
+            f"no_fly: [{{name: a, below_m: 0, polygon_m: {SQUARE_M}}}]",
+            "area.no_fly[0].below_m",
+            "greater than 0",
+        ),
         (f"no_fly: [{{name: a, polygon: {SQUARE_M}}}]", "area.no_fly[0].polygon", "did you mean"),
         (f"no_fly: [{{name: hut, polygon_m: {COVER_M}}}]", "area.no_fly", "'hut' covers all of"),
         (f"file: none.kml, {RADIUS}", "area.file", "none.kml: no such file"),

@@ -27,6 +27,7 @@ from outlines import (
     polygon,
 )
 
+from dronemon.errors import MissionFileError
 from dronemon.frames import GeoPoint, ned_to_degrees
 from dronemon.outline import Field, LaidZone, Outline, circle_in_metres, read_outline
 
@@ -106,6 +107,20 @@ def test_a_zone_may_be_marked_so_in_geojson(read, mark: object):
 def test_a_zone_may_be_marked_so_in_kml(read, data: str):
     more = f"<ExtendedData>{data}</ExtendedData>"
     assert _names(read(kml(placemark(SQUARE), placemark(INNER, more=more)), "kml")) == ["zone 1"]
+
+
+@pytest.mark.parametrize("mark", [60, 60.0, "60"])
+def test_a_zone_may_reach_up_to_a_height(read, mark):
+    text = geojson(feature(SQUARE), feature(INNER, name="hut", no_fly=True, below_m=mark))
+    (zone,) = read(text, "geojson").no_fly
+    assert zone.below_m == 60.0
+
+
+@pytest.mark.parametrize("mark", [0, -1, 501, "high", True, "nan", [60]])
+def test_a_height_that_is_none_is_told(read, mark):
+    text = geojson(feature(SQUARE), feature(INNER, name="hut", no_fly=True, below_m=mark))
+    with pytest.raises(MissionFileError, match=r"feature 2, 'hut'.*: below_m is '.*not a height"):
+        read(text, "geojson")
 
 
 def test_what_is_not_no_fly_in_words_is_the_field(read):

@@ -265,5 +265,5 @@ def test_all_walks_are_compiled_before_take_off():
 def test_fields_of_means_are_as_fine_as_ever_in_the_square_and_bounded_in_large_fields() -> None:
     assert scoring.mean_cells(ARENA) == (48, 48)
     columns, rows = scoring.mean_cells(Arena(high_au=(12.5, 7.5)))
-    assert columns * rows <= 96**2 * 1.02
+    assert columns * rows <= 1.02 * scoring.MOST_MEAN_CELLS
     assert columns / rows == pytest.approx(12.5 / 7.5, rel=0.02)
