@@ -11,11 +11,23 @@ from errno import ETIMEDOUT
 from io import FileIO
 from pathlib import Path
 from queue import SimpleQueue
+from tempfile import TemporaryFile
+
+from dronemon.errors import RecordError
 
 SILENT_DISK_S = 10.0
 """Wall time for a line to get to the disk."""
 _Item = tuple[Path, bytes] | threading.Event | None
 """A line for a file; what is set once all before it is on disk; the end."""
+
+
+def claim(folder: Path) -> None:
+    """Make sure that files can be written to a folder. Raises RecordError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+    except OSError as exc:
+        raise RecordError(f"{folder}: {exc.strerror}; choose another --out") from exc
 
 
 class LineWriter:

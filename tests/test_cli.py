@@ -300,6 +300,7 @@ def test_a_parameter_is_set_to_what_a_mission_takes_as_a_number(run, mission, va
     assert "with a plain number, such as COM_OBL_RC_ACT=3" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("answer", "code"), [("n", 2), ("y", 3)])
 def test_a_parameter_is_set_once_a_person_says_so(mission, tmp_path: Path, answer: str, code: int):
     vehicle, follow = _silent_urls()

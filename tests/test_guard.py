@@ -112,6 +112,7 @@ def _advices() -> list[tuple[Situation, Advice]]:
     return [(situation, advise(situation)) for state in states for situation in _situations(state)]
 
 
+@pytest.mark.slow
 def test_every_situation_gets_an_action_that_its_state_allows():
     for situation, advice in _advices():
         assert advice.action in ALLOWED[advice.state] | {Action.LEAVE}, (situation, advice)
@@ -131,6 +132,7 @@ def test_a_drone_of_ours_is_left_armed_only_to_a_person_or_to_silence():
     assert left == LEFT_ARMED
 
 
+@pytest.mark.slow
 def test_of_two_vehicles_none_is_taken_for_down_and_a_person_may_leave():
     for situation, _ in _advices():
         if situation.state in {*HOMEWARD, State.PILOT, State.PATROLLING}:

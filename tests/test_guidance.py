@@ -82,6 +82,7 @@ def test_waits_for_a_vehicle_that_stays_behind():
     assert velocity[0] + POSITION_GAIN_PER_S * position[0] == pytest.approx(1.08 * SPEED)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @example((5.3, 0.0), 30)
 @given(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), st.integers(0, 300))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from fractions import Fraction
 from functools import cache, partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from dronemon.durable import claim
 from dronemon.errors import OptionError, RecordError
 from dronemon.evaluation.episode import Episode, fly_episode
 from dronemon.evaluation.options import (
@@ -51,10 +52,7 @@ def evaluate(
     cluster: flies them instead of processes of our own
     """
     console = console if console is not None else LenientConsole(stderr=True)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise RecordError(f"{options.out}: cannot be made: {exc.strerror}") from exc
+    claim(options.out)
     path = options.out / "results.jsonl"
     results = load_results(path)
     specs = list(options.episodes())
@@ -63,21 +61,35 @@ def evaluate(
     _warn_of_other_code([results[spec.key] for spec in specs if spec not in again], path, console)
     with closing(_flown(missing, len(specs), options, console, cluster)) as flown:
         for result in flown:
-            append_result(path, result)
+            with _written(path):
+                append_result(path, result)
             results[result.key] = result
     others = list(_of_others(results, specs))
     finished = [*(results[spec.key] for spec in specs), *others]
-    verdicts = write_tables(
-        finished,
-        options.out,
-        options.command,
-        is_as_published=options.horizon_au == PUBLISHED_HORIZON_AU,
-        kept=list(dict.fromkeys(result.method for result in others)),
-    )
-    for verdict in verdicts:
-        console.print(verdict, soft_wrap=True, markup=False)
-    _draw(finished, options)
+    with _written(options.out):
+        verdicts = write_tables(
+            finished,
+            options.out,
+            options.command,
+            is_as_published=options.horizon_au == PUBLISHED_HORIZON_AU,
+            kept=list(dict.fromkeys(result.method for result in others)),
+        )
+        for verdict in verdicts:
+            console.print(verdict, soft_wrap=True, markup=False)
+        _draw(finished, options)
     return finished
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[None]:
+    """What a run leaves is written there meanwhile. Raises RecordError."""
+    try:
+        yield
+    except OSError as exc:
+        raise RecordError(
+            f"{exc.filename or path}: cannot be written: {exc.strerror or exc}; mend that, and the"
+            " same command goes on from here"
+        ) from exc
 
 
 def _flown(

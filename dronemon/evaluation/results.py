@@ -14,6 +14,8 @@ from dronemon.errors import OptionError, RecordError
 from dronemon.evaluation.options import DEFAULT_NODES, Cell, Key
 from dronemon.sensor import Sensor
 
+_DAMAGE = ValueError, KeyError, TypeError, AttributeError, ArithmeticError, OptionError
+"""What a line that nobody wrote so may raise."""
 UNKNOWN_CODE = "unknown"
 """Code of episodes from before results named it."""
 
@@ -63,7 +65,10 @@ class Result:
 
     @classmethod
     def from_json(cls, line: str) -> Result:
-        """Read a line that `as_json` wrote. Raises Value-, Key-, Type- or OptionError otherwise."""
+        """Read a line that `as_json` wrote.
+
+        Raises Value-, Key-, Type-, Arithmetic-, Attribute- or OptionError otherwise.
+        """
         before = {"code": UNKNOWN_CODE, "nodes": DEFAULT_NODES, "motion": "tsp"}
         before |= {"sensor": "perfect"}
         record: dict[str, Any] = {**before, "found_over_time": (), **json.loads(line)}
@@ -80,29 +85,34 @@ class Result:
                 sensor=Sensor.parse(record.pop("sensor")),
             ),
             "scores": Scores(**scores),
-            "unc_over_time": tuple(record["unc_over_time"]),
-            "found_over_time": tuple(record["found_over_time"]),
+            "unc_over_time": tuple(map(float, record["unc_over_time"])),
+            "found_over_time": tuple(map(float, record["found_over_time"])),
         }
+        if not record["unc_over_time"] or not all(
+            isinstance(s, int | float) for s in scores.values()
+        ):
+            raise ValueError("there is no curve, or a score is no number")
         return cls(**record)
 
 
 def load_results(path: Path) -> dict[Key, Result]:
     """Read all finished episodes of a file; a last line that was cut off is removed from it.
 
-    Raises RecordError if a line before the last one cannot be read.
+    Raises RecordError if it, or a line before the last one, cannot be read.
     """
-    if not path.exists():
-        return {}
-    content = path.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
-    if len(whole) < len(content):
-        with path.open("r+b") as file:
-            file.truncate(len(whole))
+    try:
+        content = path.read_bytes() if path.exists() else b""
+        whole = content[: content.rfind(b"\n") + 1]
+        if len(whole) < len(content):
+            with path.open("r+b") as file:
+                file.truncate(len(whole))
+    except OSError as exc:
+        raise RecordError(f"{path}: {exc.strerror}; choose another --out") from exc
     results = {}
-    for number, line in enumerate(whole.decode().splitlines(), start=1):
+    for number, line in enumerate(whole.splitlines(), start=1):
         try:
-            result = Result.from_json(line)
-        except (ValueError, KeyError, TypeError, AttributeError, OptionError) as exc:
+            result = Result.from_json(line.decode())
+        except _DAMAGE as exc:
             raise RecordError(
                 f"{path}:{number} is no finished episode ({exc!r}); remove the line, and "
                 "the episode is flown again"

@@ -18,13 +18,13 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from tempfile import TemporaryFile
 from threading import Event, Thread
 from typing import Any
 
 import torch
 
-from dronemon.errors import CheckpointMismatch, RecordError
+from dronemon.durable import claim
+from dronemon.errors import CheckpointMismatch
 from dronemon.policy import (
     Card,
     PolicyNetwork,
@@ -135,7 +135,7 @@ def train(
     RecordError if `plan.out` cannot be written.
     """
     code_version()  # for the card: the files may change while it trains
-    _claim(plan.out)
+    claim(plan.out)
     training = _Training(plan, command, peers, cluster)
     if peers.is_first:
         (plan.out / "recipe.yaml").write_text(plan.recipe.text, encoding="utf-8")
@@ -307,15 +307,6 @@ def _spent_s(plan: Plan) -> float:
     path = plan.out / SPENT_FILE
     noted_s = float(path.read_text(encoding="utf-8")) if path.exists() else 0.0
     return noted_s if plan.iterations is not None else min(noted_s, 60.0 * plan.minutes - 1.0)
-
-
-def _claim(folder: Path) -> None:
-    """Make sure that a run can be written there. Raises RecordError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        TemporaryFile(dir=folder).close()
-    except OSError as exc:
-        raise RecordError(f"{folder}: {exc.strerror}; choose another --out") from exc
 
 
 def _first_weights(plan: Plan) -> PolicyNetwork:

@@ -78,6 +78,7 @@ def test_results_do_not_depend_on_what_else_is_flown(tmp_path: Path) -> None:
     assert outcome(alone)[2:] == [row for row in outcome(later) if row[1] == alone[0].cell]
 
 
+@pytest.mark.slow
 def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Path) -> None:
     asked = sweep(priors=("full", "none"))
     result, *_ = evaluate(options(tmp_path, sweep=asked, instances=1, save_episodes=True), QUIET)
@@ -198,11 +199,32 @@ def test_episodes_of_the_same_code_give_no_warning(tmp_path: Path) -> None:
     assert "warning" not in console.file.getvalue()  # type: ignore[attr-defined]
 
 
-def test_damaged_line_is_named(tmp_path: Path) -> None:
+@without_figures
+def test_damaged_lines_are_named(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
-    path.write_text('{"method": "tsp"}\n')
-    with pytest.raises(RecordError, match=r"results\.jsonl:1 is no finished episode"):
-        evaluate(options(tmp_path), QUIET)
+    one = options(tmp_path, planners=(PlannerSpec(kind="tsp"),), instances=1, horizon_au=0.3)
+    evaluate(one, QUIET)
+    line = path.read_bytes()
+    record = json.loads(line)
+    for wrong in (
+        b'{"method": "tsp"}',
+        b"\xff\xfe",
+        json.dumps(record | {"speed_ratio": "1/0"}).encode(),
+        json.dumps(record | {"scores": record["scores"] | {"unc": "x"}}).encode(),
+        json.dumps(record | {"unc_over_time": []}).encode(),
+        json.dumps(record | {"unc_over_time": ["x"]}).encode(),
+    ):
+        path.write_bytes(line + wrong + b"\n")
+        with pytest.raises(RecordError, match=r"results\.jsonl:2 is no finished episode"):
+            evaluate(one, QUIET)
+
+
+@without_figures
+@pytest.mark.parametrize("name", ["results.jsonl", "table.md"])
+def test_what_cannot_be_written_is_named(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(RecordError, match=rf"{name}: .*[Ii]s a directory"):
+        evaluate(options(tmp_path, instances=1, horizon_au=0.3), QUIET)
 
 
 @pytest.mark.slow

@@ -131,6 +131,7 @@ def lines(run: Path, name: str) -> list[dict[str, object]]:
     return [json.loads(line) for line in (run / name).read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_a_decision_comes_out_as_it_was_flown(flown: Path) -> None:
     decisions = lines(flown, "decisions.jsonl")
     first = INTERRUPTED_AFTER
@@ -275,6 +276,7 @@ def test_a_folder_that_is_no_run_has_its_exit_code(
     assert "no run folder" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["film.mp4", "film.gif"])
 def test_every_decision_is_filmed(
     flown: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch

@@ -10,19 +10,19 @@ import pytest
 from fake_link import ORIGIN
 from flights import MISSION
 
-from dronemon.errors import MissionFileError
+from dronemon.errors import MissionFileError, VehicleError
 from dronemon.events import Measured
 from dronemon.types import Detection
 
-PIXELS_PX = ((320.0, 240.0), (440.0, 240.0))
-"""Of what is right below a level drone, and 8.25 m to the east from 22 m up."""
+ASIDE_PX = 120.0
+"""As far to the east as 8.25 m are from 22 m up."""
 
 
 class InTurn:
-    """Sees Bella at one of two pixels, in turn."""
+    """Sees Bella right below a level drone and so many pixels to the east of there, in turn."""
 
-    def __init__(self) -> None:
-        self.pixels_px = itertools.cycle(PIXELS_PX)
+    def __init__(self, aside_px: float) -> None:
+        self.pixels_px = itertools.cycle([(320.0, 240.0), (320.0 + aside_px, 240.0)])
 
     def detect(self, *_: object) -> tuple[Detection, ...]:
         return (Detection(appearance="cow", pixel_px=next(self.pixels_px), score=0.9),)
@@ -42,9 +42,9 @@ def sloping(folder: Path, rise_m: float, *, cells: int = 40) -> str:
     return MISSION.replace("side_m: 100", "side_m: 100, terrain: ground.asc")
 
 
-def measured(flight) -> list[Measured]:
+def measured(flight, aside_px: float = ASIDE_PX) -> list[Measured]:
     """What the detector's two pixels say, after what the rehearsal asked of it."""
-    flight.detector, before = InTurn(), len(flight.record.events)
+    flight.detector, before = InTurn(aside_px), len(flight.record.events)
     result = flight.fly()
     assert result.outcome == "completed", result.error
     return [event for event in flight.record.events[before:] if isinstance(event, Measured)]
@@ -69,18 +69,23 @@ def test_each_sighting_has_an_error_of_its_own(flight):
 
 
 def test_what_is_seen_uphill_is_nearer(flight, tmp_path):
-    assert max(map(away_m, measured(flight))) == pytest.approx(8.25, abs=0.02)
-    flight.mission_text = sloping(tmp_path, 20.0)
-    assert max(map(away_m, measured(flight))) == pytest.approx(8.25 / (1.0 + 0.2 * 0.375), abs=0.05)
+    """From 33 m, as hills of 10 m are to stay 21 m below: there the camera sees all it must."""
+    high = "altitude_m: 22", "altitude_m: 33"
+    for text, away in (
+        (MISSION, 8.25),
+        (sloping(tmp_path, 20.0), 8.25 / (1.0 + 0.2 * 0.25)),  # 80 pixels are 0.25 to the east
+    ):
+        flight.mission_text = text.replace(*high)
+        assert max(map(away_m, measured(flight, 80.0))) == pytest.approx(away, abs=0.05)
 
 
 @pytest.mark.parametrize(
     ("rise_m", "cells", "words"),
-    [(40.0, 40, "fly 30 m up"), (5.0, 8, "has no heights of all the area")],
+    [(40.0, 40, "set flight.altitude_m to 30 or more"), (5.0, 8, "has no heights of all the area")],
 )
 def test_ground_that_cannot_be_flown_over_is_refused(flight, tmp_path, rise_m, cells, words):
     flight.mission_text = sloping(tmp_path, rise_m, cells=cells)
     result = flight.fly()
-    assert isinstance(result.error, MissionFileError)
+    assert isinstance(result.error, MissionFileError | VehicleError)
     assert words in str(result.error)
     assert flight.link.commands == []

@@ -90,6 +90,7 @@ def test_a_share_has_one_wrong_byte() -> None:
     assert sum(wrong) == pytest.approx(100, abs=25)
 
 
+@pytest.mark.slow
 def test_a_lossy_slow_line_still_carries_commands() -> None:
     async def story(station: GroundStation) -> None:
         beats = len(station.of("HEARTBEAT"))
@@ -284,6 +285,7 @@ def pictures(faults: dict[str, float], story: Callable[..., Any]) -> None:
     asyncio.run(tell())
 
 
+@pytest.mark.slow
 def test_pictures_are_blank() -> None:
     async def story(camera: SimulatedCamera) -> None:
         assert (await camera.capture()).image.max() == 0

@@ -117,6 +117,7 @@ def test_lessons_do_not_depend_on_who_gives_them(tmp_path: Path) -> None:
         assert torch.equal(first, second)
 
 
+@pytest.mark.slow
 def test_only_lessons_that_count_are_taken_up_again(tmp_path: Path) -> None:
     expert = give_round(tmp_path, workers=1)
     state = expert.state()

@@ -64,6 +64,7 @@ def detector_of(folder: Path, detector: dict[str, Any], appearance: str) -> Dete
     return make_detector(mission)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: str(example["kind"]))
 def test_every_example_of_the_page_makes_a_detector(
     folder: Path, example: dict[str, Any], monkeypatch: pytest.MonkeyPatch
