@@ -233,6 +233,7 @@ def test_no_name_is_no_mission(run, words):
         assert "no such mission, neither a .yaml file nor shipped" in err
 
 
+@pytest.mark.slow
 def test_output_that_cannot_be_written_ends_nothing(mission):
     command = [sys.executable, "-m", "dronemon.cli", "check", mission()]
     with Path("/dev/full").open("w") as full:

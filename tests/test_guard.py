@@ -121,6 +121,7 @@ def test_every_situation_gets_an_action_that_its_state_allows():
         assert (advice.action is Action.END) == (advice.state is State.ENDED)
 
 
+@pytest.mark.slow
 def test_a_drone_of_ours_is_left_armed_only_to_a_person_or_to_silence():
     left = {
         advice.reason

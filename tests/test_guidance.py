@@ -106,6 +106,7 @@ def test_a_vehicle_that_was_pushed_anywhere_comes_to_the_end(
     assert vehicle == pytest.approx((20.0, 20.0), abs=0.1)
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(st.lists(st.floats(0.001, 30.0), min_size=1, max_size=5), st.floats(0.01, 0.2))
 def test_stays_at_the_end_of_any_path(legs_m: list[float], step_s: float):

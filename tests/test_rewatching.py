@@ -133,6 +133,7 @@ def test_it_leaves_what_a_flight_leaves(run: dict[str, Path], tmp_path: Path) ->
     assert status(folder, folder.mission())["program"] == "ended: rewatched"
 
 
+@pytest.mark.slow
 def test_nobody_can_fly_on_from_pictures(run: dict[str, Path]) -> None:
     folder = RunFolder.open(run["tilted"])
     for go_on in (read_newest, ask_to_go_on):

@@ -147,6 +147,7 @@ def test_a_decision_comes_out_as_it_was_flown(flown: Path) -> None:
         assert len(own.ages_au) == min((remembered + 1) // 2, 4)  # stride 2, history 8
 
 
+@pytest.mark.slow
 def test_the_command_writes_arrays_and_a_picture(
     flown: Path,
     tmp_path: Path,
@@ -176,6 +177,7 @@ def test_the_command_writes_arrays_and_a_picture(
         assert (np.diff(arrays["ages_au"]) < 0.0).all()
 
 
+@pytest.mark.slow
 def test_a_network_with_neither_tracks_nor_attention_to_the_past_is_drawn(
     tmp_path: Path,
 ) -> None:

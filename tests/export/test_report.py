@@ -70,6 +70,7 @@ def test_a_page_needs_nothing_else_and_says_what_was_seen(flown: Path, tmp_path:
     assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_redacted_page_says_nowhere_exactly_where(flown: Path, tmp_path: Path) -> None:
     report(flown, "--out", tmp_path / "page.html", "--redact", "1000")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")

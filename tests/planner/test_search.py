@@ -99,6 +99,7 @@ def test_keeps_all_targets_in_sight_again_and_again():
     assert seen.sum(axis=0).min() >= 8
 
 
+@pytest.mark.slow
 def test_same_seed_flies_the_same_path():
     first, _ = fly(SearchPlanner(QUICK), length_au=3.0)
     second, _ = fly(SearchPlanner(QUICK), length_au=3.0)

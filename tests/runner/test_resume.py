@@ -423,6 +423,7 @@ def test_a_pilot_who_gave_it_back_has_no_more_say(story):
     assert story.fly(_aloft(last_s + 9.0)).outcome == "completed"
 
 
+@pytest.mark.slow
 def test_a_fence_that_is_gone_is_told_in_the_air(story):
     last_s = story.crash_after(12)
     story.fence = ()
@@ -587,6 +588,7 @@ def test_a_run_with_its_last_picture_is_completed_on_the_ground(flight):
     assert flight.commands == []
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_lands_while_the_program_gets_ready_takes_off_again(story):
     last_s = story.crash_after(12)
 

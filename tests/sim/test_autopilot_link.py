@@ -408,6 +408,7 @@ def test_deaf_vehicle_obeys_nobody() -> None:
     with_station(story, "deaf@0.5+3")
 
 
+@pytest.mark.slow
 def test_reboot_in_the_air_is_seen_on_the_link() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)

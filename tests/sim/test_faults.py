@@ -293,6 +293,7 @@ def test_pictures_are_blank() -> None:
     pictures({"blank": 1.0}, story)
 
 
+@pytest.mark.slow
 def test_pictures_are_misdated() -> None:
     async def story(camera: SimulatedCamera) -> None:
         assert (await camera.capture()).time_s == pytest.approx(-2.0, abs=0.5)

@@ -62,6 +62,7 @@ def gradients(expert: Expert) -> list[Tensor]:
     return [p.grad.clone() for p in expert.network.parameters() if p.grad is not None]
 
 
+@pytest.mark.slow
 def test_a_minibatch_is_the_mean_over_episodes_of_different_lessons(
     lessons: list[Lesson], tmp_path: Path
 ) -> None:

@@ -77,6 +77,7 @@ def test_each_appearance_is_named_and_located(renderer, appearance, heading_rad)
     assert found[appearance] == pytest.approx((-7.0, 11.0), abs=0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "attitude",
     [

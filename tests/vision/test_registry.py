@@ -133,6 +133,7 @@ NONSENSE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nonsense", NONSENSE)
 def test_a_detector_that_gives_nonsense_is_told_before_take_off(
     folder: Path, nonsense: str, monkeypatch: pytest.MonkeyPatch
