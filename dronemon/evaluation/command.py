@@ -135,7 +135,7 @@ RayOption = Annotated[
     typer.Option(
         metavar="local|HOST:PORT",
         help="Have a Ray cluster fly: that at an address, or one started here; needs "
-        "dronemon[ray].",
+        "dronemon\\[ray].",
         show_default=False,
     ),
 ]

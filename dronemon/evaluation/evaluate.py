@@ -43,7 +43,7 @@ def evaluate(
 ) -> list[Result]:
     """Fly all episodes that the output folder does not hold yet, and write what they show.
 
-    The folder gets results.jsonl, table.csv, table.md, paired.csv, figures, and with
+    The folder gets results.jsonl, table.csv, table.md, paired.csv, over_time.csv, figures, and with
     `save_episodes` one file of arrays per episode. A run that was killed, or is given more
     instances, goes on where it was; episodes that other code flew are kept, with a warning.
 

@@ -1,4 +1,4 @@
-"""Tables on disk: table.csv and paired.csv for programs, table.md for people."""
+"""Tables on disk: table.csv, paired.csv and over_time.csv for programs, table.md for people."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from dronemon.evaluation.tables import (
     published_overall,
     published_rows,
 )
-from dronemon.problem import Prior
+from dronemon.problem import MEASUREMENT_INTERVAL_AU, Prior
 from dronemon.sensor import Sensor
 
 UNKNOWN = Estimate(mean=math.nan, standard_error=math.nan)
@@ -46,8 +46,9 @@ def write_tables(
     is_as_published: bool,
     kept: Sequence[str] = (),
 ) -> list[str]:
-    """Write table.csv, paired.csv and table.md into a folder; `command` made the results.
+    """Write table.csv, paired.csv, over_time.csv and table.md into a folder.
 
+    command:         made the results
     kept:            methods whose results are from earlier runs
     is_as_published: episodes are as long as the paper's; its figures are added
     -> what follows from that comparison, a line each
@@ -62,6 +63,7 @@ def write_tables(
     differences = paired_differences(results)
     _write_csv(out / "table.csv", _table_records([*rows, *published]))
     _write_csv(out / "paired.csv", _difference_records(differences))
+    _write_csv(out / "over_time.csv", _curve_records(results))
     verdicts = _verdicts(results, rows) if is_as_published else []
     text = [
         *_title(results, command, kept),
@@ -121,6 +123,38 @@ def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
         }
         for row in rows
     ]
+
+
+def _curve_records(results: Iterable[Result]) -> list[dict[str, str]]:
+    """What figures over time show: means over instances at each measurement."""
+    groups: dict[tuple[Cell, str], list[Result]] = {}
+    for result in results:
+        groups.setdefault((result.cell, result.method), []).append(result)
+    return [
+        {
+            "targets": str(cell.num_targets),
+            "speed_ratio": str(cell.speed_ratio),
+            "method": method,
+            "prior": cell.prior,
+            "nodes": str(cell.num_nodes),
+            "motion": cell.motion,
+            "sensor": str(cell.sensor),
+            "time_au": f"{MEASUREMENT_INTERVAL_AU * (step + 1):.1f}",
+            **_estimated("unc", (result.unc_over_time[step] for result in group)),
+            **_estimated("found", (result.found_over_time[step] for result in group)),
+        }
+        for (cell, method), group in groups.items()
+        for step in range(min(len(result.found_over_time) for result in group))
+    ]
+
+
+def _estimated(name: str, values: Iterable[float]) -> dict[str, str]:
+    """A figure's mean over instances and its error, as columns."""
+    of = Estimate.of(values)
+    return {
+        name: number(of.mean, name, extra_digits=1),
+        f"{name}_se": number(of.standard_error, name, extra_digits=1),
+    }
 
 
 def _columns(row: Row, names: Sequence[str]) -> dict[str, str]:

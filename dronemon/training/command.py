@@ -30,9 +30,9 @@ _SHOWN = ("unc", "imitation_loss", "regret", "agreement", "kl", "val_unc", "deci
 RecipeOption = Annotated[
     str,
     typer.Option(
-        help="A recipe file, or a shipped one: paper, expert, stamp, table2, table2-no-predictions,"
-        " table2-lstm. Several, separated by commas, are trained one after another, each with this "
-        "budget, in folders of their names."
+        help="A recipe file, or a shipped one: paper, anywhere, expert, stamp, table2, "
+        "table2-no-predictions, table2-lstm. Several, separated by commas, are trained one after "
+        "another, each with this budget, in folders of their names."
     ),
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the run; a run found there goes on.")]
@@ -58,7 +58,7 @@ RayOption = Annotated[
     typer.Option(
         metavar="local|HOST:PORT",
         help="Have a Ray cluster give the lessons: that at an address, or one started here; needs "
-        "dronemon[ray], and --out in a folder that all nodes share.",
+        "dronemon\\[ray], and --out in a folder that all nodes share.",
         show_default=False,
     ),
 ]

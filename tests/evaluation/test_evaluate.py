@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import io
 import json
 import os
@@ -82,7 +83,7 @@ def test_results_do_not_depend_on_what_else_is_flown(tmp_path: Path) -> None:
 def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Path) -> None:
     asked = sweep(priors=("full", "none"))
     result, *_ = evaluate(options(tmp_path, sweep=asked, instances=1, save_episodes=True), QUIET)
-    for name in ("table.md", "table.csv", "paired.csv", "results.jsonl"):
+    for name in ("table.md", "table.csv", "paired.csv", "over_time.csv", "results.jsonl"):
         assert (tmp_path / name).is_file()
     for name in ("unc_over_time", "found_over_time", "traces", "overview"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
@@ -115,6 +116,23 @@ def test_finished_episodes_are_not_flown_again(tmp_path: Path) -> None:
     assert (tmp_path / "results.jsonl").read_text().splitlines()[: len(lines)] == lines
     assert outcome(more)[:4] == outcome(first)
     assert len(more) == 6
+
+
+@without_figures
+def test_curves_are_means_over_instances(tmp_path: Path) -> None:
+    results = evaluate(options(tmp_path), QUIET)
+    with (tmp_path / "over_time.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["time_au"]) for row in rows] == [round(0.1 * n, 1) for n in range(1, 21)] * 2
+    for method in ("lawnmower", "tsp"):
+        of = [row for row in rows if row["method"] == method]
+        for name, curve in (("unc", "unc_over_time"), ("found", "found_over_time")):
+            flown = np.array([getattr(r, curve) for r in results if r.method == method])
+            told = [[float(row[name]), float(row[f"{name}_se"])] for row in of]
+            expected = np.stack(
+                [flown.mean(axis=0), flown.std(axis=0, ddof=1) / np.sqrt(2)], axis=1
+            )
+            np.testing.assert_allclose(told, expected, atol=6e-5)
 
 
 @without_figures

@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
-from dronemon.env import Setup
+from dronemon.env import Env, Setup
 from dronemon.policy import NetworkConfig, PolicyNetwork
+from dronemon.problem import FIRST_DEVELOPMENT_SEED, Prior
 from dronemon.training import ppo as ppo_module
+from dronemon.training.gae import advantages
 from dronemon.training.peers import Peers
 from dronemon.training.ppo import Ppo, PpoConfig, entropy, scaled_rewards
+from dronemon.training.recipe import load_recipe
+from dronemon.training.rollout import greedy, play
 
 CONFIG = PpoConfig(
     episodes_per_iteration=4,
@@ -102,6 +107,60 @@ def test_the_curriculum_raises_the_targets_speed(monkeypatch: pytest.MonkeyPatch
     early, late = shares[:4000], shares[4000:]
     assert early.mean() == pytest.approx(0.5, abs=0.03)  # uniform up to what the curriculum allows
     assert late.mean() == pytest.approx(0.5, abs=0.05)
+
+
+def test_episodes_draw_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    setups: list[Setup] = []
+    monkeypatch.setattr(ppo_module, "play", lambda *args, **_: setups.extend(args[2]))
+    priors: tuple[Prior, ...] = ("full", "number", "none")
+    ppo = make_ppo(replace(CONFIG, priors=priors))
+    for ppo._num_iterations in range(60):
+        ppo.play()
+    drawn = [setup.prior for setup in setups]
+    assert all(drawn.count(prior) > len(drawn) / 5 for prior in priors)
+
+
+@pytest.mark.parametrize("lam", [0.0, 0.5, 1.0])
+def test_the_value_learns_what_was_earned_as_far_ahead_as_lambda_says(lam: float) -> None:
+    config = replace(CONFIG, lam=lam, epochs=1, minibatch_episodes=4)
+    ppo = make_ppo(config)
+    rollout = ppo.play()
+    off = advantages(scaled_rewards(rollout, config), rollout.values, config.discount, lam)
+    told = ppo.learn(rollout)["value_loss"]  # before the first update: of the values that played
+    assert told == pytest.approx(float(off.square().mean()), rel=1e-3)
+
+
+def test_entropy_is_raised_by_its_weight() -> None:
+    after = []
+    for weight in (3.0, -3.0):
+        ppo = make_ppo(replace(CONFIG, entropy_weight=weight, value_weight=0.0))
+        after.append(ppo.learn(ppo.play())["entropy"])
+    assert after[0] > after[1] + 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_papers_recipe_learns_from_scratch() -> None:
+    """In a small world, where its targets are as fast as they get from the beginning on."""
+    world = replace(load_recipe("paper").settings, num_nodes=(30, 40), history=(8, 12))
+    config = replace(world, curriculum_episodes=0, decisions=64, learning_rate=1e-3)
+    assert isinstance(config, PpoConfig)
+    ppo = make_ppo(config)
+    unc = [flown_unc(ppo.network)]
+    for _ in range(20):
+        ppo.iterate(0.0)
+    unc.append(flown_unc(ppo.average.module))
+    gain = unc[0] - unc[1]
+    assert gain.mean() > 4.0 * gain.std() / len(gain) ** 0.5
+
+
+def flown_unc(network: nn.Module) -> np.ndarray:
+    """Of development episodes in that world."""
+    assert isinstance(network, PolicyNetwork)
+    seeds = range(FIRST_DEVELOPMENT_SEED, FIRST_DEVELOPMENT_SEED + 48)
+    setups = [Setup(seed=seed, num_targets=3, num_nodes=35) for seed in seeds]
+    rollout = play(network, Env(), setups, history=10, num_decisions=64, choose=greedy)
+    return rollout.unc.numpy()
 
 
 @pytest.mark.slow
