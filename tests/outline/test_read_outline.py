@@ -112,8 +112,14 @@ def test_a_zone_may_be_marked_so_in_kml(read, data: str):
 @pytest.mark.parametrize("mark", [60, 60.0, "60"])
 def test_a_zone_may_reach_up_to_a_height(read, mark):
     text = geojson(feature(SQUARE), feature(INNER, name="hut", no_fly=True, below_m=mark))
-    (zone,) = read(text, "geojson").no_fly
-    assert zone.below_m == 60.0
+    data = "".join(
+        f'<Data name="{name}"><value>{value}</value></Data>'
+        for name, value in (("no_fly", 1), ("below_m", mark))
+    )
+    more = f"<ExtendedData>{data}</ExtendedData>"
+    same = kml(placemark(SQUARE), placemark(INNER, name="hut", more=more))
+    for outline in (read(text, "geojson"), read(same, "kml")):
+        assert [(zone.name, zone.below_m) for zone in outline.no_fly] == [("hut", 60.0)]
 
 
 @pytest.mark.parametrize("mark", [0, -1, 501, "high", True, "nan", [60]])
