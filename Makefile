@@ -17,6 +17,7 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 test-slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m lengthy -n auto --dist worksteal
 	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/.installed-dev

@@ -233,7 +233,7 @@ def test_no_name_is_no_mission(run, words):
         assert "no such mission, neither a .yaml file nor shipped" in err
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_output_that_cannot_be_written_ends_nothing(mission):
     command = [sys.executable, "-m", "dronemon.cli", "check", mission()]
     with Path("/dev/full").open("w") as full:
@@ -301,7 +301,7 @@ def test_a_parameter_is_set_to_what_a_mission_takes_as_a_number(run, mission, va
     assert "with a plain number, such as COM_OBL_RC_ACT=3" in err
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("answer", "code"), [("n", 2), ("y", 3)])
 def test_a_parameter_is_set_once_a_person_says_so(mission, tmp_path: Path, answer: str, code: int):
     vehicle, follow = _silent_urls()

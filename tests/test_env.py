@@ -110,7 +110,7 @@ class Walker:
         return std
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_environment_equals_one_vehicle_over_many_short_legs():
     setups = [
         Setup(seed=10_000, num_targets=3, num_nodes=60, speed_ratio=0.1),

@@ -112,7 +112,7 @@ def _advices() -> list[tuple[Situation, Advice]]:
     return [(situation, advise(situation)) for state in states for situation in _situations(state)]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_every_situation_gets_an_action_that_its_state_allows():
     for situation, advice in _advices():
         assert advice.action in ALLOWED[advice.state] | {Action.LEAVE}, (situation, advice)
@@ -121,7 +121,7 @@ def test_every_situation_gets_an_action_that_its_state_allows():
         assert (advice.action is Action.END) == (advice.state is State.ENDED)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_drone_of_ours_is_left_armed_only_to_a_person_or_to_silence():
     left = {
         advice.reason
@@ -133,7 +133,7 @@ def test_a_drone_of_ours_is_left_armed_only_to_a_person_or_to_silence():
     assert left == LEFT_ARMED
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_of_two_vehicles_none_is_taken_for_down_and_a_person_may_leave():
     for situation, _ in _advices():
         if situation.state in {*HOMEWARD, State.PILOT, State.PATROLLING}:

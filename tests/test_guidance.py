@@ -82,7 +82,7 @@ def test_waits_for_a_vehicle_that_stays_behind():
     assert velocity[0] + POSITION_GAIN_PER_S * position[0] == pytest.approx(1.08 * SPEED)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @settings(max_examples=40)
 @example((5.3, 0.0), 30)
 @given(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), st.integers(0, 300))
@@ -106,7 +106,7 @@ def test_a_vehicle_that_was_pushed_anywhere_comes_to_the_end(
     assert vehicle == pytest.approx((20.0, 20.0), abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @settings(max_examples=50)
 @given(st.lists(st.floats(0.001, 30.0), min_size=1, max_size=5), st.floats(0.01, 0.2))
 def test_stays_at_the_end_of_any_path(legs_m: list[float], step_s: float):

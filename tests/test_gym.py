@@ -99,7 +99,7 @@ def test_lines_are_the_episodes_of_env(prior: str) -> None:
         seen = step.observation
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("action", ["neighbour", "waypoint"])
 def test_many_in_step_are_gymnasiums_own_vector_of_single_ones(action: str) -> None:
     terms = {"action": action, "max_episode_steps": 4}
@@ -260,7 +260,7 @@ def test_a_mission_in_another_field_is_refused() -> None:
         fly_episode(Wanderer(), instance, Conditions(speed_ratio=0.1, num_nodes=20))
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("prior", "num_neighbours"), [("full", 2), ("number", 3), ("none", 10)])
 def test_a_mission_is_observed_as_the_episode_of_its_seed(
     prior: Prior, num_neighbours: int

@@ -94,7 +94,7 @@ def sightings(run: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         yield from ((name, told) for name, told in line["targets"].items() if told["seen"])
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["tilted", "tagged"])
 def test_animals_are_seen_where_they_are(run: dict[str, Path], name: str) -> None:
     """In body tilt, and with a gimbal in every attitude: to half a metre from 35 m."""
@@ -107,7 +107,7 @@ def test_animals_are_seen_where_they_are(run: dict[str, Path], name: str) -> Non
     assert {who for who, _ in seen} == {"Bella", "Zuri", "Rusty"}
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_it_leaves_what_a_flight_leaves(run: dict[str, Path], tmp_path: Path) -> None:
     """Report, map and table are made of it, by the times at which the pictures were taken."""
     folder = RunFolder.open(run["tagged"])
@@ -133,7 +133,7 @@ def test_it_leaves_what_a_flight_leaves(run: dict[str, Path], tmp_path: Path) ->
     assert status(folder, folder.mission())["program"] == "ended: rewatched"
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_nobody_can_fly_on_from_pictures(run: dict[str, Path]) -> None:
     folder = RunFolder.open(run["tilted"])
     for go_on in (read_newest, ask_to_go_on):

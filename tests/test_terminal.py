@@ -87,7 +87,7 @@ def test_a_flight_fits_the_terminal(width: int):
         assert all(row.endswith("battery 100% (35% home)") for row in follow)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("environment", [{}, {"NO_COLOR": "1"}])
 def test_what_is_piped_has_no_colours_and_rings_no_bell(environment: dict[str, str]):
     for options in (["missions"], ["check", "animals"]):
@@ -168,7 +168,7 @@ def test_what_cannot_be_drawn_is_counted():
     assert console.file.getvalue() == "on\n"  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("options", [["--help"], ["--version"], ["planners"]])
 @pytest.mark.parametrize("output", ["/dev/full", "pipe", "closed"])
 def test_an_output_that_takes_nothing_ends_no_command(options: list[str], output: str):

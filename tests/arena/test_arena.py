@@ -37,7 +37,7 @@ def test_the_nearest_place_is_inside_and_as_far_as_the_border(arena, place) -> N
     assert inside_by_au(arena, inner) >= 0.1 - 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @settings(max_examples=100)
 @given(arena=ARENAS, place=PLACES)
 def test_compiled_code_says_the_same(arena, place) -> None:

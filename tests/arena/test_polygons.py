@@ -91,7 +91,7 @@ def test_what_leaves_nothing_is_refused() -> None:
         Arena.polygon(border[[0, 2, 1, 3]])
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @settings(max_examples=40, deadline=None)
 @given(arena=ARENAS, seed=st.integers(0, 1000))
 def test_compiled_code_says_the_same_of_places(arena, seed) -> None:
@@ -105,7 +105,7 @@ def test_compiled_code_says_the_same_of_places(arena, seed) -> None:
         assert region.contains(moving.drawn(walls, np.random.default_rng(seed)))
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @settings(max_examples=60, deadline=None)
 @given(arena=ARENAS, seed=st.integers(0, 1000))
 def test_compiled_flight_goes_the_shortest_way(arena, seed) -> None:

@@ -42,7 +42,7 @@ def sklearn_posterior(points, values, at):
     return regressor.fit(points.numpy(), values.numpy()).predict(at.numpy(), return_std=True)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("num_targets", [1, 4, 12])
 def test_posterior_equals_scikit_learn(num_targets):
     points, values, mask = observations(num_targets)

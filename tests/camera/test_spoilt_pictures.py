@@ -48,7 +48,7 @@ SPOILT = st.one_of(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @settings(max_examples=60)
 @given(st.lists(SPOILT, min_size=5, max_size=5))
 def test_spoilt_answers_are_errors_and_end_nothing(batch: list[bytes]):

@@ -126,7 +126,7 @@ def look(detector: Detector, image: ImageArray, at: Pose) -> tuple[Detection, ..
     return detector.detect(image, at, GROUND_DOWN_M)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_only_what_is_watched_is_found_and_on_the_picture(case: Case) -> None:
     found = look(case.make(), case.picture, pose())
     assert {d.appearance for d in found} == case.watched

@@ -98,7 +98,7 @@ def conditions(prior: Prior = "full") -> Conditions:
     return Conditions(speed_ratio=0.1, prior=prior, horizon_au=HORIZON_AU, num_nodes=20)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("num_targets", "prior"),
     [(1, "full"), (3, "number"), (3, "none"), (12, "full")],
@@ -191,7 +191,7 @@ def test_targets_seen_beyond_the_border_stop_nobody(make: Make) -> None:
     assert len(np.unique(episode.agent_au.round(3), axis=0)) > 10
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("arena", "prior"), [(U, "full"), (HOLED, "number")], ids=["U-full", "holed-number"]
 )

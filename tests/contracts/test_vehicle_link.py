@@ -77,7 +77,7 @@ async def _hover(link: VehicleLink, duration_s: float) -> None:
         await link.send_setpoint(_here(link))
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_flight_is_confirmed_step_by_step(with_link):
     async def story(link: VehicleLink) -> None:
         assert link.state.home is not None

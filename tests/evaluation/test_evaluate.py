@@ -79,7 +79,7 @@ def test_results_do_not_depend_on_what_else_is_flown(tmp_path: Path) -> None:
     assert outcome(alone)[2:] == [row for row in outcome(later) if row[1] == alone[0].cell]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_run_leaves_tables_figures_and_arrays_that_others_can_check(tmp_path: Path) -> None:
     asked = sweep(priors=("full", "none"))
     result, *_ = evaluate(options(tmp_path, sweep=asked, instances=1, save_episodes=True), QUIET)

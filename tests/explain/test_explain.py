@@ -131,7 +131,7 @@ def lines(run: Path, name: str) -> list[dict[str, object]]:
     return [json.loads(line) for line in (run / name).read_text().splitlines()]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_decision_comes_out_as_it_was_flown(flown: Path) -> None:
     decisions = lines(flown, "decisions.jsonl")
     first = INTERRUPTED_AFTER
@@ -147,7 +147,7 @@ def test_a_decision_comes_out_as_it_was_flown(flown: Path) -> None:
         assert len(own.ages_au) == min((remembered + 1) // 2, 4)  # stride 2, history 8
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_the_command_writes_arrays_and_a_picture(
     flown: Path,
     tmp_path: Path,
@@ -177,7 +177,7 @@ def test_the_command_writes_arrays_and_a_picture(
         assert (np.diff(arrays["ages_au"]) < 0.0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_network_with_neither_tracks_nor_attention_to_the_past_is_drawn(
     tmp_path: Path,
 ) -> None:
@@ -278,7 +278,7 @@ def test_a_folder_that_is_no_run_has_its_exit_code(
     assert "no run folder" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["film.mp4", "film.gif"])
 def test_every_decision_is_filmed(
     flown: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch

@@ -49,7 +49,7 @@ def report(*options: object) -> None:
     assert ended.value.code == 0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_page_needs_nothing_else_and_says_what_was_seen(flown: Path, tmp_path: Path) -> None:
     report(flown, "--out", tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -70,7 +70,7 @@ def test_a_page_needs_nothing_else_and_says_what_was_seen(flown: Path, tmp_path:
     assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_redacted_page_says_nowhere_exactly_where(flown: Path, tmp_path: Path) -> None:
     report(flown, "--out", tmp_path / "page.html", "--redact", "1000")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -173,7 +173,7 @@ def test_runs_are_compared(flown: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert table["longest out of sight"] == ["20 s", "20 s"]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("has_truth", [False, True])
 def test_a_moment_is_drawn(flown: Path, tmp_path: Path, has_truth: bool) -> None:
     run = tmp_path / "run"
@@ -208,7 +208,7 @@ def test_a_moment_is_drawn(flown: Path, tmp_path: Path, has_truth: bool) -> None
             cli.app(words, standalone_mode=False)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("kind", ["lawnmower", "search"])
 def test_a_planner_that_is_asked_again_answers_as_it_flew(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -233,7 +233,7 @@ def patrolled(motion, seed=10_003):
     return belief.particles
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("motion", "fitting"),
     [
@@ -251,7 +251,7 @@ def test_how_targets_move_is_learned_from_what_is_seen_of_them(motion, fitting):
     assert sum(shares[name] for name in fitting) > 0.6, shares
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_tours_are_taken_for_tours_more_than_all_else_is():
     shares = {
         motion: np.mean([patrolled(motion, seed).kinds.shares[0] for seed in SEEDS])
@@ -264,7 +264,7 @@ def test_before_anything_is_seen_no_way_of_moving_is_likelier():
     assert np.ptp(Told([[0.5, 0.5]]).particles.kinds.shares) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_circling_targets_keep_the_curve_that_they_were_seen_on():
     particles = patrolled("loop")
     paths = Instance.draw(10_003, 3, "loop").paths

@@ -93,26 +93,26 @@ def fly(
     return np.array(places), np.array(seen)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_keeps_all_targets_in_sight_again_and_again():
     _, seen = fly(SearchPlanner(QUICK), length_au=10.0)
     assert seen.sum(axis=0).min() >= 8
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_same_seed_flies_the_same_path():
     first, _ = fly(SearchPlanner(QUICK), length_au=3.0)
     second, _ = fly(SearchPlanner(QUICK), length_au=3.0)
     assert np.array_equal(first, second)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_finds_targets_whose_places_are_unknown():
     _, seen = fly(SearchPlanner(QUICK), prior="number", length_au=15.0)
     assert seen.any(axis=0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_finds_targets_of_which_nothing_is_known():
     every = [
         fly(SearchPlanner(QUICK), prior="none", length_au=15.0, seed=seed)[1]
@@ -121,13 +121,13 @@ def test_finds_targets_of_which_nothing_is_known():
     assert sum(int(seen.any(axis=0).sum()) for seen in every) >= 11  # of 12
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_noisy_sightings_are_followed():
     _, seen = fly(SearchPlanner(QUICK), noise=0.0025, length_au=10.0)
     assert seen.sum(axis=0).min() >= 8
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("bound", [ClairvoyantSearchPlanner, PresentSearchPlanner])
 def test_who_is_told_where_targets_are_sees_them_more_often(bound):
     fast = {"speed": 1 / 7, "num_targets": 4, "length_au": 6.0}
@@ -190,7 +190,7 @@ def test_roadmap_search_stays_on_edges_and_scores_every_neighbour():
         node, position = waypoint.node, waypoint.position_au
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_roadmap_search_keeps_targets_in_sight():
     _, seen = fly(RoadmapSearchPlanner(QUICK), length_au=10.0)
     assert seen.sum(axis=0).min() >= 5
@@ -251,7 +251,7 @@ def test_a_path_in_a_polygon_is_flown_to_where_it_first_turns_or_measures(
     assert planner.next_waypoint(snapshot).position_au == pytest.approx(expected_au)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_measurements_that_come_a_decision_late_do_not_hold_it_up():
     # In flight the picture at a waypoint is taken after the next one was asked for.
     _, seen = fly(SearchPlanner(QUICK), length_au=10.0, is_late=True)

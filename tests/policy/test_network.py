@@ -148,7 +148,7 @@ def reference(request: pytest.FixtureRequest) -> Reference:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_outputs_and_gradients_of_a_segment_equal_the_reference(reference: Reference) -> None:
     network, history = reference.network, reference.history
     logits, values = reference.logits, reference.values
@@ -238,7 +238,7 @@ def explained_all(reference: Reference, atol: float) -> None:
                 assert each.ages_au == pytest.approx(ages_au, abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_explained_weights_equal_the_reference(reference: Reference) -> None:
     explained_all(reference, atol=1e-9)
 

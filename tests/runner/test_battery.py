@@ -101,7 +101,7 @@ def _lands_with(
     return vehicle.charge, listener
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("charge", "return_m", "lasts_min", "wind_m_s"),
     [(0.5, 30.0, ENDURANCE_MIN, (0.0, 8.0)), (0.6, 60.0, WEAK_MIN, (8.0, 0.0))],
@@ -115,7 +115,7 @@ def test_against_the_wind_it_lands_with_what_is_to_be_left(
     assert left >= RESERVE
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_weak_battery_half_empty_at_take_off_in_wind_lands_with_less_but_above_what_px4_keeps(
     tmp_path: Path,
 ):
@@ -126,7 +126,7 @@ def test_a_weak_battery_half_empty_at_take_off_in_wind_lands_with_less_but_above
     assert PX4_KEEPS < left < RESERVE
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("corner", "charge", "return_m", "lasts_min"),
     [
@@ -146,7 +146,7 @@ def test_without_wind_it_returns_no_earlier_than_it_must(
     assert RESERVE <= left <= RESERVE + 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_what_the_way_home_takes_is_told(tmp_path: Path):
     left, listener = _lands_with(tmp_path / "corner.yaml", CORNERS_AU[0], 0.42)
     assert RESERVE <= left <= RESERVE + 0.05

@@ -53,7 +53,7 @@ def test_a_camera_may_still_wake_up_on_the_ground(flight):
     assert flight.fly().outcome == "completed"
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("detect", "words"),
     [
@@ -85,7 +85,7 @@ def _takes(duration_s: float) -> Callable[..., tuple[()]]:
     return detect
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_slow_detector_is_not_blamed_on_the_planner(flight):
     """A waypoint that is due waits for one picture at most, and the planner's time counts then."""
     flight.on_link = lambda link: setattr(flight.detector, "detect", _takes(2.9))
@@ -96,7 +96,7 @@ def test_a_slow_detector_is_not_blamed_on_the_planner(flight):
     assert "planner slow" not in flight.record.kinds
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_no_more_pictures_are_taken_than_a_slow_detector_can_look_at(flight):
     def across(snapshot: Snapshot) -> Waypoint:
         return Waypoint(position_au=np.full(2, 0.9 if snapshot.position_au[0] < 0.5 else 0.1))
@@ -108,7 +108,7 @@ def test_no_more_pictures_are_taken_than_a_slow_detector_can_look_at(flight):
     assert flight.record.texts("8 pictures wait") > 0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_dead_camera_brings_the_drone_home_after_a_while(flight):
     flight.mission_text = LONGER
     result = flight.fly("camera@12")
@@ -118,7 +118,7 @@ def test_a_dead_camera_brings_the_drone_home_after_a_while(flight):
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_frozen_view_is_no_measurement_and_brings_the_drone_home(flight):
     flight.mission_text = LONGER
     result = flight.fly("freeze@12")
@@ -143,7 +143,7 @@ def _in_turn(share: int) -> Callable[..., tuple[()]]:
     return detect
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("share", "is_enough"), [(2, True), (3, True), (6, False), (12, False)])
 def test_few_pictures_that_say_something_are_not_enough(flight, share, is_enough):
     flight.mission_text = LONGER
@@ -154,7 +154,7 @@ def test_few_pictures_that_say_something_are_not_enough(flight, share, is_enough
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_the_patrol_goes_on_while_a_camera_is_silent_for_a_while(flight):
     result = flight.fly("camera@12+4")
     assert (result.outcome, result.error) == ("completed", None)

@@ -55,7 +55,7 @@ def keeps_to_the_field(flight: Flight) -> None:
     assert east_north_m[:, 0].max() > 30.0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_home_goes_around(flight: Flight) -> None:
     beyond(flight)
     result = flight.fly()
@@ -68,7 +68,7 @@ def test_home_goes_around(flight: Flight) -> None:
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_an_interrupt_brings_it_home_around_too(flight: Flight) -> None:
     beyond(flight)
     flight.when("patrol", lambda: flight.later(3.0, flight.ask))
@@ -99,7 +99,7 @@ def test_a_low_battery_has_the_way_around_in_its_price(flight: Flight) -> None:
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_time_that_is_up_is_known_early_enough(flight: Flight) -> None:
     beyond(flight)
     flight.on_link = lambda link: setattr(link.vehicle, "battery", None)
@@ -111,7 +111,7 @@ def test_time_that_is_up_is_known_early_enough(flight: Flight) -> None:
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_blind_drone_comes_home_around(flight: Flight) -> None:
     beyond(flight)
     flight.mission_text = LONGER
@@ -122,7 +122,7 @@ def test_a_blind_drone_comes_home_around(flight: Flight) -> None:
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_late_planner_too_and_what_it_says_at_last_is_not_flown(flight: Flight) -> None:
     beyond(flight)
     flight.planner.answer = hangs
@@ -133,7 +133,7 @@ def test_a_late_planner_too_and_what_it_says_at_last_is_not_flown(flight: Flight
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_pilot_on_that_way_wins_and_then_it_goes_on_home(flight: Flight) -> None:
     beyond(flight)
 
@@ -149,7 +149,7 @@ def test_a_pilot_on_that_way_wins_and_then_it_goes_on_home(flight: Flight) -> No
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_pilot_who_gives_it_back_at_another_height_does_not_send_it_straight(
     flight: Flight,
 ) -> None:
@@ -184,7 +184,7 @@ def test_from_a_square_it_returns_straight_wherever_home_is() -> None:
     assert routes.to((0.0, 0.0), (10.0, 310.0)) == [(10.0, 310.0)]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_what_fails_on_that_way_sends_it_home_straight(flight: Flight) -> None:
     """And the patrol is as complete as it was."""
     beyond(flight)

@@ -159,7 +159,7 @@ def test_a_position_that_is_no_good_lands_here(flight):
     assert flight.commands[-1] == "land"
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_what_is_never_obeyed_is_asked_for_until_a_person_ends_it(flight):
     """A drone of ours is not left while it is heard, unless a person wants it so."""
 
@@ -303,7 +303,7 @@ def test_without_a_guard_it_comes_home_until_a_person_ends_the_program(flight, m
     assert "the motors may be running" in result.last_word
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("kind", ["ready", "airborne", "patrol", "homecoming", "outcome"])
 def test_a_flight_that_is_cancelled_is_seen_through(flight, kind):
     """It is a person's interrupt: the drone comes home, and how it ended is known."""
@@ -361,7 +361,7 @@ def test_one_heartbeat_that_says_disarmed_is_not_believed(flight):
     assert (result.outcome, result.error) == ("completed", None)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_battery_that_is_not_known_is_said_and_time_counts_instead(flight):
     flight.on_link = lambda link: setattr(link.vehicle, "battery", None)
     flight.mission_text = MISSION.replace("horizon_au: 0.8", "horizon_au: 2, endurance_min: 4")

@@ -56,7 +56,7 @@ def test_it_is_not_flown_with_a_gimbal_that_is_silent_or_looks_elsewhere(flight,
     assert flight.link.commands == ["point down"]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("fault", "words"), [("gimbal@16", "was not heard"), ("askew=25@16", "looks 25 degrees off")]
 )
@@ -71,7 +71,7 @@ def test_a_gimbal_that_fails_in_flight_makes_it_blind_and_brings_it_home(flight,
     comes_home(flight, result)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("fault", ["gimbal@12+4", "askew=10@12"])
 def test_a_pause_and_a_gimbal_a_little_off_are_flown_with(flight, fault):
     flight.mission_text = MISSION + GIMBAL

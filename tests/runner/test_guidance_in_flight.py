@@ -76,7 +76,7 @@ _ENDLESS: dict[str, object] = {}
 _ENDLESS["again"] = _ENDLESS
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("answer", "words", "reason"),
     [

@@ -264,7 +264,7 @@ def test_a_flight_that_a_pilot_lands_on_its_way_home_is_the_pilots(flight):
     assert (result.outcome, result.is_landed) == ("pilot", True)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("after_s", [1.0, 1.3, 1.6, 1.9])
 @pytest.mark.parametrize("moment", ["armed", "patrol", "homecoming"])
 def test_motors_that_stop_in_the_air_are_no_landing(flight, moment, after_s):
@@ -294,7 +294,7 @@ def test_a_killed_drone_has_fallen_though_it_disarms_on_the_ground(flight):
     assert "it has fallen" in result.last_word
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("disarm_after_s", [0.1, 0.5, 2.0])
 def test_a_landing_on_higher_ground_is_no_fall(flight, disarm_after_s):
     def land() -> None:
@@ -323,7 +323,7 @@ def test_a_terminated_flight_is_no_failsafe_that_flies_home(flight):
     assert not {"return", "land", "disarm"} & set(flight.link.commands)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_of_two_vehicles_of_one_id_none_is_told_as_down(flight):
     def mix() -> None:
         flight.link.hear_another()

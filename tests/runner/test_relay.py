@@ -138,7 +138,7 @@ def test_a_fresh_battery_is_waited_for_and_seen_five_times(tmp_path):
     assert wait.watch.texts("goes on with a fresh one") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_level_that_jumps_or_is_too_low_is_not_fresh(tmp_path):
     wait = Wait(tmp_path)
 
@@ -151,7 +151,7 @@ def test_a_level_that_jumps_or_is_too_low_is_not_fresh(tmp_path):
     assert wait.took_s == pytest.approx(LIMIT_S, abs=1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_vehicle_that_is_not_at_rest_is_not_taken(tmp_path):
     wait = Wait(tmp_path)
 
@@ -186,7 +186,7 @@ def _carry_off(wait: Wait) -> None:
     fresh(wait)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("act", [_fly_off, _arm_for_a_moment, _carry_off])
 @pytest.mark.parametrize("has_word", [False, True])
 def test_what_somebody_flew_or_moved_meanwhile_takes_off_at_a_persons_word(tmp_path, act, has_word):
@@ -203,7 +203,7 @@ def test_what_somebody_flew_or_moved_meanwhile_takes_off_at_a_persons_word(tmp_p
     assert "takes off" in wait.watch.text("waiting")
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_where_it_stands_is_told_by_the_globe_not_by_a_frame_that_begins_anew(tmp_path):
     def carried_m(north_m: float, frame_m: float, folder: Path) -> Wait:
         wait = Wait(_made(folder))
@@ -320,7 +320,7 @@ def test_the_wait_is_told_by_the_flights_clock_whatever_the_next_one_and_the_one
     assert [event.time_s for event in noted] == pytest.approx([LANDED_S] * 2, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_level_that_is_not_told_is_a_persons_to_judge(tmp_path):
     wait = Wait(tmp_path)
     wait.on_link = lambda link: setattr(link.vehicle, "battery", None)
@@ -336,7 +336,7 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("landed_with", [0.55, 0.8, 0.85])
 def test_the_battery_that_landed_is_not_a_fresh_one(tmp_path, landed_with):
     wait = Wait(tmp_path)
@@ -350,7 +350,7 @@ def test_the_battery_that_landed_is_not_a_fresh_one(tmp_path, landed_with):
     assert wait.goes_on(lambda wait: fresh(wait, 0.99))
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "change",
     [
@@ -371,7 +371,7 @@ def test_where_it_cannot_be_told_or_landed_elsewhere_a_person_is_asked(tmp_path,
     assert f"dronemon resume {wait.folder.path}" in wait.watch.text("waiting")
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("has_word", [False, True])
 def test_a_try_that_was_refused_is_made_again_at_a_persons_word(tmp_path, has_word):
     wait = Wait(tmp_path)
@@ -393,7 +393,7 @@ def test_a_try_that_ended_otherwise_is_the_last(tmp_path, error):
     assert wait.links == []
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_another_vehicle_is_not_taken_for_the_one_that_landed(tmp_path):
     wait = Wait(tmp_path)
     wait.on_link = lambda link: setattr(link, "hardware", "another")
@@ -401,7 +401,7 @@ def test_another_vehicle_is_not_taken_for_the_one_that_landed(tmp_path):
     assert wait.watch.texts("still waiting: another vehicle answers") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_persons_word_is_waited_for_and_one_given_too_early_does_not_count(tmp_path):
     wait = Wait(tmp_path, "confirmed")
     request = wait.folder.path / REQUEST_FILE
@@ -417,7 +417,7 @@ def test_a_persons_word_is_waited_for_and_one_given_too_early_does_not_count(tmp
     assert f"dronemon resume {wait.folder.path}" in wait.watch.text("waiting")
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_fresh_battery_that_does_not_stay_in_is_told(tmp_path):
     wait = Wait(tmp_path, "confirmed")
 

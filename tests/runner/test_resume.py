@@ -214,7 +214,7 @@ def _aloft(time_s: float, mode: Mode = Mode.HOLD) -> Callable[[FakeLink], None]:
     return prepare
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_beliefs_are_those_of_an_unbroken_log(story):
     whole = read_history_anyway(story)
     story.crash_after(12)
@@ -241,7 +241,7 @@ def read_history_anyway(story: Story) -> Sightings:
     return tally.sightings
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("mode", [Mode.TAKEOFF, Mode.HOLD, Mode.RETURN, Mode.LAND])
 def test_a_flight_goes_on_in_the_air(story, mode):
     last_s = story.crash_after(12)
@@ -281,14 +281,14 @@ def _goes_on_300_s_later(story: Story) -> None:
     assert times_au[12] - times_au[11] == pytest.approx(300.0 * 5.0 / 100.0, abs=2.0)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_flight_goes_on_on_the_ground_after_a_reboot(story):
     story.crash_after(12)
     story.pass_time(300.0)
     _goes_on_300_s_later(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_try_that_was_refused_after_a_reboot_changes_nothing(story):
     story.crash_after(12)
     story.pass_time(300.0)
@@ -311,7 +311,7 @@ def test_a_reboot_that_ended_a_flight_is_no_other_than_one_after_it(story):
 DAY = timedelta(days=1)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("step", [-DAY, DAY])
 def test_a_wall_clock_that_was_set_is_not_time_that_passed(story, step):
     last_s = story.crash_after(12)
@@ -328,7 +328,7 @@ def test_after_a_restart_of_the_machine_the_wall_clock_tells_what_has_passed(sto
     _goes_on_300_s_later(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("is_off", [False, True])
 def test_a_wall_clock_that_is_behind_after_a_restart_is_told(story, is_off):
     last_s = story.crash_after(12)
@@ -341,7 +341,7 @@ def test_a_wall_clock_that_is_behind_after_a_restart_is_told(story, is_off):
     assert 9.0 < story.gap_s() < 60.0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("passed_s", [0.0, 300.0])
 def test_a_wall_clock_that_goes_on_after_a_restart_is_not_told(story, passed_s):
     story.crash_after(12)
@@ -398,7 +398,7 @@ def test_the_return_of_a_killed_programs_vehicle_is_taken_over(story):
     assert story.fly(prepare).outcome == "completed"
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.LAND])
 def test_a_pilot_who_took_it_wins_also_over_the_next_program(story, mode):
     last_s = story.crash_after(12)
@@ -423,7 +423,7 @@ def test_a_pilot_who_gave_it_back_has_no_more_say(story):
     assert story.fly(_aloft(last_s + 9.0)).outcome == "completed"
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_fence_that_is_gone_is_told_in_the_air(story):
     last_s = story.crash_after(12)
     story.fence = ()
@@ -432,7 +432,7 @@ def test_a_fence_that_is_gone_is_told_in_the_air(story):
     assert story.watch.text("ready") == "the vehicle is ready"
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("hardware", ["fake", "another"])
 def test_an_area_is_laid_where_it_was_on_the_globe(story, hardware):
     last_s = story.crash_after(12)
@@ -588,7 +588,7 @@ def test_a_run_with_its_last_picture_is_completed_on_the_ground(flight):
     assert flight.commands == []
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_vehicle_that_lands_while_the_program_gets_ready_takes_off_again(story):
     last_s = story.crash_after(12)
 

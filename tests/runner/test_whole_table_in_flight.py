@@ -31,7 +31,7 @@ MODULES = (
 )
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.timeout(300)  # alone it flies a hundred flights
 def test_every_row_of_the_table_is_flown(prepare):
     """What the tests before this one have flown already is not flown again."""

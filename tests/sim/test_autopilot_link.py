@@ -121,7 +121,7 @@ def test_offboard_on_the_ground_is_accepted_but_arming_is_not() -> None:
     with_station(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("frame", "is_flown"), [(1, True), (8, True), (7, False), (9, False)])
 def test_setpoint_frames(frame: int, is_flown: bool) -> None:
     async def story(station: GroundStation) -> None:
@@ -140,7 +140,7 @@ def test_setpoint_frames(frame: int, is_flown: bool) -> None:
     with_station(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_global_setpoint_is_relative_to_home() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
@@ -180,7 +180,7 @@ def test_setpoint_of_nothing_and_infinities_do_no_harm() -> None:
     with_station(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_reposition_takes_altitude_above_sea_level() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)
@@ -371,7 +371,7 @@ def test_garbage_is_ignored() -> None:
     with_station(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_faults_begin_and_end_after_arming() -> None:
     async def story(station: GroundStation) -> None:
         await station.fly(20.0)  # before arming no fault is due
@@ -408,7 +408,7 @@ def test_deaf_vehicle_obeys_nobody() -> None:
     with_station(story, "deaf@0.5+3")
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_reboot_in_the_air_is_seen_on_the_link() -> None:
     async def story(station: GroundStation) -> None:
         await take_off(station)

@@ -61,7 +61,7 @@ def changed_pixels(renderer, scene, brighter_than=40):
     return np.stack([columns, rows], axis=-1) + 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("attitude", "place", "side"),
     [

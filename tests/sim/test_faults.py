@@ -90,7 +90,7 @@ def test_a_share_has_one_wrong_byte() -> None:
     assert sum(wrong) == pytest.approx(100, abs=25)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_lossy_slow_line_still_carries_commands() -> None:
     async def story(station: GroundStation) -> None:
         beats = len(station.of("HEARTBEAT"))
@@ -285,7 +285,7 @@ def pictures(faults: dict[str, float], story: Callable[..., Any]) -> None:
     asyncio.run(tell())
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_pictures_are_blank() -> None:
     async def story(camera: SimulatedCamera) -> None:
         assert (await camera.capture()).image.max() == 0
@@ -293,7 +293,7 @@ def test_pictures_are_blank() -> None:
     pictures({"blank": 1.0}, story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_pictures_are_misdated() -> None:
     async def story(camera: SimulatedCamera) -> None:
         assert (await camera.capture()).time_s == pytest.approx(-2.0, abs=0.5)

@@ -51,7 +51,7 @@ async def follow_a_flight(scenes: list[tuple[Scene, Scene]]) -> None:
         simulation.close_links()
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_follower_sees_what_the_vehicle_sees() -> None:
     scenes: list[tuple[Scene, Scene]] = []
     asyncio.run(follow_a_flight(scenes))

@@ -102,7 +102,7 @@ def set_out(speed_m_s: float, wind_m_s: float) -> tuple[Autopilot, Carrot]:
     return vehicle, carrot
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("speed_m_s", "leg_m", "side_m"), [(5.0, 25.0, 150.0), (8.0, 25.0, 200.0), (12.0, 60.0, 300.0)]
 )
@@ -153,7 +153,7 @@ def test_on_a_late_link_that_loses_a_fifth_it_is_slower_and_as_exact() -> None:
     assert np.percentile(cross_track_m, 95) <= 0.02 * 150.0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("speed_m_s", [5.0, 12.0])
 def test_a_gusty_patrol_crosses_no_fence(speed_m_s: float) -> None:
     """From corner to corner of the area, and over again, in 8 m/s of gusty wind."""

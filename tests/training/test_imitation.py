@@ -62,7 +62,7 @@ def gradients(expert: Expert) -> list[Tensor]:
     return [p.grad.clone() for p in expert.network.parameters() if p.grad is not None]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_minibatch_is_the_mean_over_episodes_of_different_lessons(
     lessons: list[Lesson], tmp_path: Path
 ) -> None:
@@ -118,7 +118,7 @@ def test_lessons_do_not_depend_on_who_gives_them(tmp_path: Path) -> None:
         assert torch.equal(first, second)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_only_lessons_that_count_are_taken_up_again(tmp_path: Path) -> None:
     expert = give_round(tmp_path, workers=1)
     state = expert.state()

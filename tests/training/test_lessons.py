@@ -37,7 +37,7 @@ def make_lesson() -> Lesson:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_every_neighbour_is_scored_and_the_teacher_flies_to_the_best() -> None:
     lesson = make_lesson()
     segment = lesson.rollout.segment
@@ -49,7 +49,7 @@ def test_every_neighbour_is_scored_and_the_teacher_flies_to_the_best() -> None:
     assert torch.equal(lesson.rollout.actions[1], lesson.rollout.logits[1].argmax(-1))
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_lesson_comes_back_from_its_file(tmp_path: Path) -> None:
     lesson = make_lesson()
     write_atomically(tmp_path / "lesson.pt", asdict(lesson))

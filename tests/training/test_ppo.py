@@ -58,7 +58,7 @@ def test_the_first_pass_is_still_the_policy_that_played() -> None:
     assert metrics["clipped"] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_the_average_follows_the_weights_and_comes_back() -> None:
     ppo = make_ppo(replace(CONFIG, epochs=1, minibatch_episodes=1))
     rollout = ppo.play()
@@ -81,7 +81,7 @@ def test_without_averaging_the_last_weights_are_kept() -> None:
     assert all(torch.equal(kept[name], w) for name, w in ppo.network.state_dict().items())
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_advantages_are_normalised_unless_told_otherwise() -> None:
     def gradient(scale: float, *, is_normalised: bool) -> float:
         config = replace(CONFIG, normalise_advantages=is_normalised, reward_scale=scale, epochs=1)
@@ -163,7 +163,7 @@ def flown_unc(network: nn.Module) -> np.ndarray:
     return rollout.unc.numpy()
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_the_learning_rate_decays() -> None:
     config = replace(CONFIG, decisions=4, epochs=1, decay_iterations=2, decay=0.5)
     ppo = make_ppo(config)
@@ -172,7 +172,7 @@ def test_the_learning_rate_decays() -> None:
     assert ppo._optimizer.param_groups[0]["lr"] == rates[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_policy_goes_no_further_than_it_may_in_one_iteration() -> None:
     def divergence(clip: float) -> float:
         ppo = make_ppo(replace(CONFIG, epochs=40, value_weight=0.0, clip=clip))

@@ -156,7 +156,7 @@ def test_the_expert_ends_with_ppo(tmp_path: Path) -> None:
     assert "imitation_loss" not in row
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_the_best_weights_are_kept_with_their_card(tmp_path: Path) -> None:
     run(make_plan(tmp_path), 2)
     best = load_checkpoint(tmp_path / "best.pt", expected=SMALL)
@@ -166,7 +166,7 @@ def test_the_best_weights_are_kept_with_their_card(tmp_path: Path) -> None:
     assert "val_unc" in (tmp_path / "best.md").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_run_can_begin_with_other_weights(first_iteration: Path, tmp_path: Path) -> None:
     start = str(first_iteration / "best.pt")
     run(make_plan(tmp_path / "second", start=start), 1)
@@ -248,7 +248,7 @@ def test_time_spent_in_an_iteration_that_was_killed_counts(
     assert rows[1]["minutes"] > 5000.0 / 60.0
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_budget_of_iterations_does_not_ask_the_clock(
     first_iteration: Path, tmp_path: Path
 ) -> None:

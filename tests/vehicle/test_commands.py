@@ -83,7 +83,7 @@ def test_a_command_that_is_not_answered_is_sent_again():
     air.run(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("result", "error"),
     [
@@ -160,7 +160,7 @@ def test_what_a_pilot_has_armed_and_flies_is_not_sent_up():
     air.run(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_nothing_that_a_late_copy_of_our_request_needs_is_sent_while_others_fly():
     air = flying()
 

@@ -120,7 +120,7 @@ def test_a_heartbeat_that_stays_away_is_asked_for():
     air.run(story)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_what_cannot_be_sent_is_given_up(monkeypatch):
     air = Air()
     air.beats((1, 1))

@@ -138,7 +138,7 @@ def test_a_file_that_is_no_detectors_is_told(flaw: str, tmp_path: Path) -> None:
         found(detector_of(path), image)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("has_onnxruntime", [True, False])
 @pytest.mark.parametrize("flaw", ["damaged", "cut", "none"])
 def test_a_file_that_is_none_is_told(

@@ -66,7 +66,7 @@ def detect(detector, renderer, scene):
     return {d.appearance: tuple(at) for d, at in zip(found, places, strict=True)}
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("appearance", APPEARANCES)
 @pytest.mark.parametrize("heading_rad", [0.2, 1.9, -2.5])
 def test_each_appearance_is_named_and_located(renderer, appearance, heading_rad):
@@ -77,7 +77,7 @@ def test_each_appearance_is_named_and_located(renderer, appearance, heading_rad)
     assert found[appearance] == pytest.approx((-7.0, 11.0), abs=0.6)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "attitude",
     [
@@ -108,7 +108,7 @@ def test_whole_herd_is_found_at_once(detector, renderer):
     assert detect(detector, renderer, scene_of(*animals)).keys() == set(ANIMALS)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("appearances", [PEOPLE, VEHICLES])
 def test_people_and_vehicles_are_told_apart_where_the_picture_has_the_detail(appearances):
     """Each in a row, from the greatest height that they are said to be found at."""
@@ -154,7 +154,7 @@ def test_other_heights_serve_too(detector, renderer, height_m):
     assert detect(detector, renderer, scene).keys() == {"cow", "tiger"}
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_larger_pictures_serve_too():
     camera = CameraModel(width_px=1280, height_px=720, horizontal_fov_rad=1.2)
     scene = scene_of(animal_at("zebra", 6.0, -8.0), attitude=(0.1, -0.1, 2.0), height_m=40.0)
@@ -165,7 +165,7 @@ def test_larger_pictures_serve_too():
     assert place == pytest.approx((6.0, -8.0), abs=0.6)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_random_flights_are_seen_almost_without_fault(detector, renderer):
     """A small version of benchmarks/vision.py, through the JPEG that the stream carries."""
     rng = np.random.default_rng(10_304)

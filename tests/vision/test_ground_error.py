@@ -57,7 +57,7 @@ def place(told, pixel_px, pose):
     return pixel_to_ground(pixel_px + told[7:], camera, off, GROUND_DOWN_M)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @given(
     st.floats(0.0, 640.0),
     st.floats(0.0, 480.0),

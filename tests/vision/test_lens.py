@@ -26,7 +26,7 @@ def ground() -> ImageArray:
     return (128.0 + 400.0 * noise).clip(0, 255).astype(np.uint8)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("mount_deg", [(0.0, 0.0, 0.0), (1.0, 3.0, 90.0), (-2.0, 0.0, 180.0)])
 def test_what_passes_a_lens_is_made_straight_again(
@@ -160,7 +160,7 @@ def test_files_that_are_not_there_not_text_or_too_large(tmp_path: Path) -> None:
             Lens.read(tmp_path / name)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("lens", "board"),
     [

@@ -64,7 +64,7 @@ def detector_of(folder: Path, detector: dict[str, Any], appearance: str) -> Dete
     return make_detector(mission)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: str(example["kind"]))
 def test_every_example_of_the_page_makes_a_detector(
     folder: Path, example: dict[str, Any], monkeypatch: pytest.MonkeyPatch
@@ -133,7 +133,7 @@ NONSENSE = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("nonsense", NONSENSE)
 def test_a_detector_that_gives_nonsense_is_told_before_take_off(
     folder: Path, nonsense: str, monkeypatch: pytest.MonkeyPatch

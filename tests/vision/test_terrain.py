@@ -217,7 +217,7 @@ def test_flat_terrain_is_a_plane():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @given(
     st.floats(-40.0, 40.0),
     st.floats(-40.0, 40.0),
@@ -251,7 +251,7 @@ def test_rays_into_the_sky_and_off_the_grid_meet_nothing():
         down_below_m(HILLS, off)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (0.2, -0.3, 2.0)])
 @pytest.mark.parametrize("pixel_px", [(320.0, 240.0), (500.0, 100.0)])
 def test_errors_on_a_slope_are_those_of_central_differences(attitude, pixel_px):

@@ -46,7 +46,7 @@ def renderer() -> Renderer:
     return Renderer(CAMERA, 10_000)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("turn_deg", [-6.0, -1.0, 0.0, 3.0])
 def test_the_turn_between_two_pictures_is_the_cameras(renderer: Renderer, turn_deg: float) -> None:
     before, after = seen(renderer, 2.0), seen(renderer, 2.0 + math.radians(turn_deg), 0.02)

@@ -575,7 +575,7 @@ def end_flight(child: subprocess.Popen[str], number: signal.Signals) -> None:
         pytest.fail(f"did not end after {number.name}:\n{child.communicate()[1]}")
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_an_interrupted_flight_leaves_a_whole_recording(tmp_path: Path) -> None:
     end_flight(start_flight(tmp_path / "flight.rrd", "none"), signal.SIGINT)
     assert verify(tmp_path / "flight.rrd").returncode == 0
@@ -665,7 +665,7 @@ def test_a_taken_port_is_named_with_the_next_step(tmp_path: Path) -> None:
     assert not (tmp_path / "flight.rrd").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_page_whose_process_stands_still_holds_up_neither_recording_nor_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -736,7 +736,7 @@ def _kill_group(pid: int) -> None:
         os.killpg(pid, signal.SIGKILL)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_recording_is_shown_until_a_signal(
     start_view: Callable[..., subprocess.Popen[str]], number: int
@@ -752,7 +752,7 @@ def test_a_recording_is_shown_until_a_signal(
     assert not is_open(port)
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_a_viewer_that_does_not_heed_is_ended_all_the_same(
     start_view: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
@@ -777,7 +777,7 @@ def test_nothing_is_served_without_a_live_view(tmp_path: Path) -> None:
         assert shown.where is None
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 def test_handing_over_costs_the_flight_little(tmp_path: Path) -> None:
     """The calls of one measurement, pictures and beliefs included, return within milliseconds."""
     events = list(happenings(num_measurements=50))

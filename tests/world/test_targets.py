@@ -54,7 +54,7 @@ def test_single_distance_and_many_agree() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.lengthy
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_paths_join_all_points_from_first_to_second_in_few_detours(seed: int) -> None:
