@@ -24,7 +24,7 @@ from dronemon.evaluation.episode import Episode
 from dronemon.evaluation.options import DEFAULT_NODES, Cell
 from dronemon.evaluation.results import Result
 from dronemon.evaluation.sections import TABLE2_ROWS, Covered, published_table2
-from dronemon.evaluation.tables import Row
+from dronemon.evaluation.tables import Row, grouped
 from dronemon.problem import LOST_STD, MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, Measurement
@@ -52,10 +52,8 @@ def draw_over_time(
     figure = Figure(figsize=(3.2 * num_columns + 1.0, 2.4 * num_rows + 0.8), layout="constrained")
     grid = figure.subplots(num_rows, num_columns, sharex=True, sharey=True, squeeze=False)
     panels = dict(zip(product(counts, worlds), grid.flat, strict=False))
-    groups: dict[tuple[Cell, str], list[Sequence[float]]] = {}
-    for result in results:
-        groups.setdefault((result.cell, result.method), []).append(value(result))
-    for (cell, method), curves in groups.items():
+    for (cell, method), group in grouped(results).items():
+        curves = [value(result) for result in group]
         panel = panels[cell.num_targets, _world(cell)]
         mean = np.mean(curves, axis=0)
         times_au = MEASUREMENT_INTERVAL_AU * np.arange(1, len(mean) + 1)

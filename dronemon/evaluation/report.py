@@ -27,6 +27,7 @@ from dronemon.evaluation.tables import (
     count_agreeing,
     count_better,
     gap_closed,
+    grouped,
     overall,
     paired_differences,
     published_overall,
@@ -109,14 +110,9 @@ def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
     others = [name for name in FIGURES if name not in PAPER_FIGURES]
     return [
         {
-            "targets": str(row.cell.num_targets),
-            "speed_ratio": str(row.cell.speed_ratio),
-            "method": row.method,
+            **_which(row.cell, row.method),
             **_columns(row, PAPER_FIGURES),
-            "prior": row.cell.prior,
-            "nodes": str(row.cell.num_nodes),
-            "motion": row.cell.motion,
-            "sensor": str(row.cell.sensor),
+            **_world(row.cell),
             "instances": str(row.instances) if row.instances else "",
             **_columns(row, others),
             "decision_ms": number(row.decision_s * 1e3, "decision_ms"),
@@ -125,25 +121,36 @@ def _table_records(rows: Iterable[Row]) -> list[dict[str, str]]:
     ]
 
 
+def _which(cell: Cell, method: str) -> dict[str, str]:
+    """What the paper's table goes by, as columns."""
+    return {
+        "targets": str(cell.num_targets),
+        "speed_ratio": str(cell.speed_ratio),
+        "method": method,
+    }
+
+
+def _world(cell: Cell) -> dict[str, str]:
+    """What else a cell is, as columns."""
+    return {
+        "prior": cell.prior,
+        "nodes": str(cell.num_nodes),
+        "motion": cell.motion,
+        "sensor": str(cell.sensor),
+    }
+
+
 def _curve_records(results: Iterable[Result]) -> list[dict[str, str]]:
     """What figures over time show: means over instances at each measurement."""
-    groups: dict[tuple[Cell, str], list[Result]] = {}
-    for result in results:
-        groups.setdefault((result.cell, result.method), []).append(result)
     return [
         {
-            "targets": str(cell.num_targets),
-            "speed_ratio": str(cell.speed_ratio),
-            "method": method,
-            "prior": cell.prior,
-            "nodes": str(cell.num_nodes),
-            "motion": cell.motion,
-            "sensor": str(cell.sensor),
+            **_which(cell, method),
+            **_world(cell),
             "time_au": f"{MEASUREMENT_INTERVAL_AU * (step + 1):.1f}",
             **_estimated("unc", (result.unc_over_time[step] for result in group)),
             **_estimated("found", (result.found_over_time[step] for result in group)),
         }
-        for (cell, method), group in groups.items()
+        for (cell, method), group in grouped(results).items()
         for step in range(min(len(result.found_over_time) for result in group))
     ]
 

@@ -66,11 +66,16 @@ class Row:
     decision_s: float
 
 
-def average_by_cell(results: Iterable[Result]) -> list[Row]:
-    """Average episodes over instances. -> one row per method and cell, in order of appearance."""
+def grouped(results: Iterable[Result]) -> dict[tuple[Cell, str], list[Result]]:
+    """Episodes by cell and method, both in order of appearance."""
     groups: dict[tuple[Cell, str], list[Result]] = {}
     for result in results:
         groups.setdefault((result.cell, result.method), []).append(result)
+    return groups
+
+
+def average_by_cell(results: Iterable[Result]) -> list[Row]:
+    """Average episodes over instances. -> one row per method and cell, in order of appearance."""
     return [
         Row(
             cell=cell,
@@ -82,7 +87,7 @@ def average_by_cell(results: Iterable[Result]) -> list[Row]:
             },
             decision_s=float(np.mean([result.decision_s for result in group])),
         )
-        for (cell, method), group in groups.items()
+        for (cell, method), group in grouped(results).items()
     ]
 
 

@@ -77,8 +77,7 @@ def mission_arena(mission: Mission) -> Arena:
     area, flight = mission.area, mission.flight
     if area.is_square:
         return ARENA
-    frame, whole = _laid(mission)
-    field = whole.at(flight.altitude_m - flight.stand_off_m)
+    frame, _, field = _laid(mission)
     zones_au = [frame.ned_to_au(zone.corners_ned_m) for zone in field.no_fly]
     try:
         arena = Arena.polygon(
@@ -105,16 +104,16 @@ def flown_over(mission: Mission) -> list[str]:
     """Names of no-fly zones that do not reach up to the patrol. Raises MissionFileError."""
     if mission.area.is_square:
         return []
-    _, field = _laid(mission)
-    left = field.at(mission.flight.altitude_m - mission.flight.stand_off_m).no_fly
-    return [zone.name for zone in field.no_fly if zone not in left]
+    _, whole, field = _laid(mission)
+    return [zone.name for zone in whole.no_fly if zone not in field.no_fly]
 
 
-def _laid(mission: Mission) -> tuple[AreaFrame, Field]:
-    """The mission's frame around (0, 0), and the field with all its zones in it."""
+def _laid(mission: Mission) -> tuple[AreaFrame, Field, Field]:
+    """The mission's frame around (0, 0); its field with all zones, and as it is at the patrol."""
     frame = _frame(mission, (0.0, 0.0), 0.0)
     origin = field_centre(mission.area) or GeoPoint.at((0.0, 0.0))
-    return frame, lay_field(mission.area, frame, origin)
+    whole = lay_field(mission.area, frame, origin)
+    return frame, whole, whole.at(mission.flight.altitude_m - mission.flight.stand_off_m)
 
 
 def lay_frame(

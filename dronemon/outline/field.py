@@ -43,17 +43,13 @@ class Field:
     def flaw(self) -> str | None:
         """Say why it cannot be flown in, if so: what crosses itself, or that nothing is left."""
         border = shapely.Polygon(self.border_ned_m)
-        zones = [shapely.Polygon(zone.corners_ned_m) for zone in self.no_fly]
-        named = [("the field", border)]
-        named += [(repr(zone.name), shape) for zone, shape in zip(self.no_fly, zones, strict=True)]
-        for name, shape in named:
+        shapes = [(zone, shapely.Polygon(zone.corners_ned_m)) for zone in self.no_fly]
+        for name, shape in [("the field", border), *((repr(z.name), s) for z, s in shapes)]:
             if not shape.is_valid:
                 return f"{name} crosses or touches itself; redraw it"
-        named = [
-            pair for pair, zone in zip(named[1:], self.no_fly, strict=True) if not zone.below_m
-        ]
-        if border.difference(shapely.union_all([zone for _, zone in named])).area >= _LEAST_M2:
+        always = [(repr(zone.name), shape) for zone, shape in shapes if zone.below_m is None]
+        if border.difference(shapely.union_all([shape for _, shape in always])).area >= _LEAST_M2:
             return None
-        alone = [name for name, zone in named if border.difference(zone).area < _LEAST_M2]
-        names = ", ".join(alone[:1] or [name for name, _ in named])
+        alone = [name for name, shape in always if border.difference(shape).area < _LEAST_M2]
+        names = ", ".join(alone[:1] or [name for name, _ in always])
         return f"no-fly {names} covers all of the field, so that nothing is left to fly in"

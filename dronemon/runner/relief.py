@@ -25,13 +25,7 @@ def surface_of(mission: Mission, frame: AreaFrame, home: GeoPoint, origin: GeoPo
     """
     if mission.area.terrain is None:
         return Plane(frame.ground_down_m)
-    grid, home_ned_m = read_heights(mission.area.terrain), geo_to_ned(home, origin)[:2]
-    terrain = Terrain(grid, origin, home_ned_m, frame.ground_down_m)
-    if np.isnan(_downs_m(terrain, frame, home_ned_m, grid.cell_m)).any():
-        raise MissionFileError(
-            f"{mission.area.terrain}: has no heights of all the area and of the take-off place,"
-            f" {home}; name a larger grid"
-        )
+    terrain, _ = _surveyed(mission.area.terrain, frame, home, origin)
     return terrain
 
 
@@ -42,12 +36,9 @@ def relief_of(
 
     As `surface_of`.
     """
-    surface = surface_of(mission, frame, home, origin)
-    if isinstance(surface, Plane):
+    if mission.area.terrain is None:
         return None
-    assert mission.area.terrain is not None
-    cell_m = read_heights(mission.area.terrain).cell_m
-    downs_m = _downs_m(surface, frame, geo_to_ned(home, origin)[:2], cell_m)
+    _, downs_m = _surveyed(mission.area.terrain, frame, home, origin)
     px = needed_px_per_m(mission)
     return Relief(
         highest_m=frame.ground_down_m - float(downs_m.min()),
@@ -58,12 +49,24 @@ def relief_of(
     )
 
 
-def _downs_m(
-    surface: Surface, frame: AreaFrame, home_ned_m: FloatArray, cell_m: float
-) -> FloatArray:
-    """How far down the ground is, all over the area's box and on the way from home. -> (P,)"""
-    num_looks = int(min(np.max(frame.side_m * frame.arena.extent_au) / cell_m + 2, _MOST_LOOKS))
+def _surveyed(
+    path: str, frame: AreaFrame, home: GeoPoint, origin: GeoPoint
+) -> tuple[Terrain, FloatArray]:
+    """A file's ground, and how far down it is all over the area's box and on the way from home.
+
+    Raises MissionFileError where that is not known.
+    """
+    grid, home_ned_m = read_heights(path), geo_to_ned(home, origin)[:2]
+    terrain = Terrain(grid, origin, home_ned_m, frame.ground_down_m)
+    across_m = float(np.max(frame.side_m * frame.arena.extent_au))
+    num_looks = int(min(across_m / grid.cell_m + 2, _MOST_LOOKS))
     places_m = frame.au_to_ned(frame.arena.grid(num_looks))
     nearest_m = places_m[np.linalg.norm(places_m - home_ned_m, axis=1).argmin()]
     way_m = np.linspace(home_ned_m, nearest_m, num_looks)
-    return surface.down_m(np.concatenate([places_m, way_m]))
+    downs_m = terrain.down_m(np.concatenate([places_m, way_m]))
+    if np.isnan(downs_m).any():
+        raise MissionFileError(
+            f"{path}: has no heights of all the area and of the take-off place, {home}; name a "
+            "larger grid"
+        )
+    return terrain, downs_m

@@ -81,7 +81,7 @@ RELIEF = Relief(highest_m=10.0, lowest_m=-5.0, px_m=400.0, needed_m=30.0, needed
         (
             {"highest_m": 38.0},
             NO_GO,
-            "is 7 m below the flight, not 10; set flight.altitude_m to 4",
+            "is 7 m below the flight, not 10; set flight.altitude_m to 48 or more",
         ),
         ({"lowest_m": -36.0}, NO_GO, "over the lowest the detector does not have the 5 that it"),
         ({"lowest_m": -36.0, "needed_px_per_m": 0.0}, GO, "35 to 81 m below the flight"),
