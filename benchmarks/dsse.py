@@ -18,9 +18,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import io
 import math
 import random
+import sys
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -302,6 +304,8 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=FIRST_DEVELOPMENT_SEED)
     parser.add_argument("--policies", default=",".join(POLICIES))
     given = parser.parse_args()
+    if importlib.util.find_spec("DSSE") is None:
+        sys.exit((__doc__ or "").strip().rpartition("\n\n")[2])
     seeds = range(given.first_seed, given.first_seed + given.episodes)
     print("| policy | found | steps to find, of those found | steps, at most 100 | ms a step |")
     print("|---|---|---|---|---|")

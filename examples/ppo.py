@@ -110,12 +110,12 @@ def learn(policy, optimizer, flown):
 
 
 def train(minutes, out, seed=0, held_out=64):
-    """Train and log. -> flights of held-out seeds before, drawing ways, and after, by the best."""
+    """Train and log. -> flights of held-out seeds before and after, by the likeliest ways."""
     torch.manual_seed(seed)
     policy, decisions, minutes_spent = Policy(), 0, 0.0
     optimizer = torch.optim.Adam(policy.parameters(), lr=LEARNING_RATE)
     envs, others = (gymnasium.make_vec(NAME, n, **PROBLEM) for n in (EPISODES, held_out))
-    before, _ = fly(others, policy, others.reset(seed=HELD_OUT_SEED)[0])
+    before, _ = fly(others, policy, others.reset(seed=HELD_OUT_SEED)[0], greedy=True)
     seen, _ = envs.reset(seed=FIRST_SEED)
     out.mkdir(parents=True, exist_ok=True)
     board = contextlib.nullcontext()
