@@ -112,7 +112,7 @@ def flight_facts(m: Mission) -> dict[str, str]:
     return {
         "targets": ", ".join(_targets_fact(m)),
         "area": _area_fact(m),
-        "altitude": f"{m.flight.altitude_m:g} m; the sensor radius of "
+        "altitude": f"{m.flight.altitude_m:g} m{_above(m)}; the sensor radius of "
         f"{m.sensor_radius_m:g} m needs {needed_altitude_m(m):.1f} m, "
         f"{'its gimbal off by' if m.camera.gimbal else 'banked'} "
         f"{math.degrees(tilt_rad(m)):.0f} degrees",
@@ -131,6 +131,12 @@ def flight_facts(m: Mission) -> dict[str, str]:
         "planner": m.planner.kind,
         "vehicle": m.vehicle.url,
     }
+
+
+def _above(m: Mission) -> str:
+    if not m.flight.follow_terrain:
+        return ""
+    return f" or more above the ground, which it follows by {m.flight.steepest:.0%} up and down"
 
 
 def _camera_fact(m: Mission) -> str:
@@ -266,7 +272,7 @@ def _lens_problems(mission: Mission) -> Iterator[Problem]:
 
 
 def _terrain_problems(mission: Mission) -> Iterator[Problem]:
-    """Whether the ground's heights can be read, and are those that the camera looks at."""
+    """Whether the ground's heights can be read."""
     if mission.area.terrain is None:
         return
     from dronemon.vision.heights import read_heights
@@ -275,8 +281,6 @@ def _terrain_problems(mission: Mission) -> Iterator[Problem]:
         read_heights(mission.area.terrain)
     except MissionFileError as exc:
         yield ("area", "terrain"), str(exc)
-    if mission.camera.is_simulated:
-        yield ("area", "terrain"), "the simulator's ground is flat; leave this out"
 
 
 def _detector_problems(mission: Mission) -> Iterator[Problem]:

@@ -30,14 +30,14 @@ class Fence:
 
     corners_ned_m: (n, 2) north and east, in order
     edges:         (n, 3) unit normal that points out, and offset: n.x + offset = 0 on the edge
-    downs_m:       highest and lowest down coordinate
+    heights_m:     how far above and below its own height a patrol may be
     zones_ned_m:   (m, 2) north and east of the corners of each no-fly zone, which this program
                    alone keeps: an emergency's return is straight, and the vehicle would hold there
     """
 
     corners_ned_m: FloatArray
     edges: FloatArray
-    downs_m: tuple[float, float]
+    heights_m: tuple[float, float]
     zones_ned_m: tuple[FloatArray, ...] = ()
 
     @classmethod
@@ -61,11 +61,10 @@ class Fence:
         hull = ConvexHull((places_m[:, None] + rim_m).reshape(-1, 2))
         if len(hull.vertices) > _MOST_CORNERS:
             hull = ConvexHull(_circumscribed(hull.points))
-        down_m = frame.ground_down_m - altitude_m
         return cls(
             corners_ned_m=hull.points[hull.vertices],
             edges=hull.equations,
-            downs_m=(down_m - margin_m, down_m + min(margin_m, altitude_m / 2.0)),
+            heights_m=(margin_m, min(margin_m, altitude_m / 2.0)),
             zones_ned_m=tuple(frame.au_to_ned(zone_au[:-1]) for zone_au in frame.arena.zones_au),
         )
 
@@ -87,10 +86,10 @@ class Fence:
         is_in_zone = any(_contains(zone_m, here_m) for zone_m in self.zones_ned_m)
         return bool(self.inside_m(stop_m) > 0.0) and not is_in_zone
 
-    def is_at_height(self, pose: Pose) -> bool:
-        """Whether it is neither too high nor too low for a patrol."""
-        highest_m, lowest_m = self.downs_m
-        return highest_m <= pose.position_ned_m[2] <= lowest_m
+    def is_at_height(self, pose: Pose, down_m: float) -> bool:
+        """Whether it is neither too high nor too low for a patrol whose height is `down_m` here."""
+        above_m, below_m = self.heights_m
+        return down_m - above_m <= pose.position_ned_m[2] <= down_m + below_m
 
     def corners_deg(self, origin: GeoPoint) -> list[tuple[float, float]]:
         """Latitude and longitude of each corner; origin: of the local frame."""

@@ -59,10 +59,11 @@ class Quadrotor:
     acceleration:     m/s2
     roll, pitch, yaw: rad; their rates rad/s
     thrust_m_s2:      over mass; hovering needs 9.8
+    ground_down_m:    down coordinate of the ground below
     """
 
     def __init__(self, start_ned_m: Vector3, yaw_rad: float, wind: Wind) -> None:
-        self._ground_down_m = start_ned_m[2]
+        self.ground_down_m = start_ned_m[2]
         self._wind = wind
         self.position = list(start_ned_m)
         self.velocity = [0.0, 0.0, 0.0]
@@ -75,7 +76,7 @@ class Quadrotor:
     @property
     def is_on_ground(self) -> bool:
         """Whether the ground carries it."""
-        return self.position[2] >= self._ground_down_m
+        return self.position[2] >= self.ground_down_m
 
     def pose(self, time_s: float) -> Pose:
         """The true pose, stamped with `time_s`."""
@@ -133,8 +134,8 @@ class Quadrotor:
         a_north -= _DRAG_PER_S * (velocity[0] - self._wind.north_m_s)
         a_east -= _DRAG_PER_S * (velocity[1] - self._wind.east_m_s)
         a_down -= _DRAG_PER_S * velocity[2]
-        if position[2] >= self._ground_down_m and a_down >= 0.0:
-            self.position[2] = self._ground_down_m
+        if position[2] >= self.ground_down_m and a_down >= 0.0:
+            self.position[2] = self.ground_down_m
             self.velocity = [0.0, 0.0, 0.0]
             self.acceleration = [0.0, 0.0, 0.0]
             return
@@ -143,8 +144,8 @@ class Quadrotor:
             before = velocity[axis]
             velocity[axis] = before + self.acceleration[axis] * dt_s
             position[axis] += 0.5 * (before + velocity[axis]) * dt_s
-        if position[2] > self._ground_down_m:
-            position[2] = self._ground_down_m
+        if position[2] > self.ground_down_m:
+            position[2] = self.ground_down_m
             velocity[:] = (0.0, 0.0, 0.0)
 
 

@@ -32,6 +32,8 @@ HOME_NED_M: Vector3 = (-23.0, 31.0, -3.2)
 _PROBLEM = "Preflight Fail: Compass Sensor 0 missing"
 _BREACH = "Geofence: approaching or outside geofence"
 _PAUSE_S = 0.004
+_LOOK_DOWN_S = 0.2
+"""Vehicle time between looks for the height of the ground."""
 _BURST_MAX_S = 0.2
 """Vehicle time simulated at once; a computer that stalls longer slows the simulation down."""
 
@@ -74,7 +76,8 @@ class MockFlight:
         self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
         self._links: list[MavlinkLink] = []
         self._line_rng = _stream(mission, "line")
-        self._time_s = self._flown_s = 0.0
+        self._time_s = self._flown_s = self._looked_s = 0.0
+        self._is_hilly = mission.area.terrain is not None
         listed = mission_faults(mission, parse_vehicle_fault)
         self.faults = FaultSchedule((*listed, *faults), self._switch)
 
@@ -131,6 +134,7 @@ class MockFlight:
         """One step of everything."""
         self._time_s += STEP_S
         autopilot = self.autopilot
+        self._raise_ground()
         autopilot.step()
         self.faults.advance(self._time_s, autopilot.commander.is_armed)
         self._swap_battery()
@@ -138,6 +142,13 @@ class MockFlight:
         autopilot.texts.clear()
         for link in self._links:
             link.stream(texts)
+
+    def _raise_ground(self) -> None:
+        """Have the ground of a terrain below the vehicle, wherever it flies."""
+        if self._is_hilly and self._time_s >= self._looked_s + _LOOK_DOWN_S:
+            self._looked_s, body = self._time_s, self.autopilot.body
+            here_m = np.array(body.position[:2])
+            body.ground_down_m = float(self._world.ground_down_m(here_m, self._frame))
 
     def _swap_battery(self) -> None:
         """Have a fresh battery in place of one that has flown, if that is asked for."""

@@ -93,7 +93,7 @@ class Renderer:
 
     def _draw_animal(self, image: ImageArray, view: _View, animal: Animal) -> None:
         north_m, east_m = np.subtract(animal.position_ned_m, view.north_east_m)
-        if not view.is_near(north_m, east_m):
+        if not view.is_near(north_m, east_m, animal.up_m):
             return
         phase = animal.walked_m / stride_m(animal.appearance) % 1.0
         sprites = draw_sprites(animal.appearance)
@@ -101,10 +101,11 @@ class Renderer:
         height_m = sprite.top_m
         shadow_m = (north_m + _SHADOW_PER_M[0] * height_m, east_m + _SHADOW_PER_M[1] * height_m)
         shadow_at, at = (*shadow_m, animal.heading_rad), (north_m, east_m, animal.heading_rad)
-        _stamp(image, view, sprite.upper, at=shadow_at, height_m=0.0, is_shadow=True)
+        up_m = animal.up_m
+        _stamp(image, view, sprite.upper, at=shadow_at, height_m=up_m, is_shadow=True)
         for fraction in (0.0, 0.35, 0.7):
-            _stamp(image, view, sprite.lower, at=at, height_m=fraction * height_m)
-        _stamp(image, view, sprite.upper, at=at, height_m=height_m)
+            _stamp(image, view, sprite.lower, at=at, height_m=up_m + fraction * height_m)
+        _stamp(image, view, sprite.upper, at=at, height_m=up_m + height_m)
 
 
 class _View:
@@ -136,9 +137,9 @@ class _View:
         homography: FloatArray = self._intrinsics @ self._camera_from_ned @ below
         return homography
 
-    def is_near(self, north_m: float, east_m: float) -> bool:
+    def is_near(self, north_m: float, east_m: float, up_m: float) -> bool:
         """Whether something of an animal's size there can show in the picture."""
-        point = self.homography(0.0) @ np.array([north_m, east_m, 1.0])
+        point = self.homography(up_m) @ np.array([north_m, east_m, 1.0])
         if point[2] < _NEAREST * self.height_m:
             return False
         margin_px = _ANIMAL_REACH_M * self.px_per_m * self.height_m / point[2]

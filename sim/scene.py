@@ -17,6 +17,7 @@ class Animal:
     """One animal, or a person or vehicle, at one instant. `position_ned_m` is (north, east).
 
     walked_m: moves its legs
+    up_m:     the ground there, above that below the camera
     """
 
     name: str
@@ -24,11 +25,15 @@ class Animal:
     position_ned_m: tuple[float, float]
     heading_rad: float
     walked_m: float
+    up_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything a picture depends on, at the instant of the pose."""
+    """Everything a picture depends on, at the instant of the pose.
+
+    frame: of the area, laid over the ground below the camera
+    """
 
     pose: Pose
     frame: AreaFrame

@@ -18,6 +18,8 @@ import numpy as np
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import Mission, field_centre, lay_frame, mission_arena
 from dronemon.types import FloatArray, Pose, Vector3
+from dronemon.vision.heights import read_heights
+from dronemon.vision.terrain import Terrain
 from dronemon.world import Instance
 from sim.scene import Animal, Scene
 
@@ -34,6 +36,7 @@ class World:
         self._mission = mission
         self._walking_s = walked_s
         self._pictured_s: float | None = None
+        self._terrain: Terrain | None = None
         simulated = mission.simulation
         self._paths = Instance.draw(
             simulated.seed,
@@ -54,11 +57,25 @@ class World:
         return self._paths.positions_au(self.walked_au(walking_s))
 
     def frame(self, home_ned_m: Vector3, origin: GeoPoint) -> AreaFrame:
-        """The area, laid around home or the mission's coordinates."""
+        """The area, laid around home or the mission's coordinates, and its ground with it."""
         north, east = home_ned_m[0], home_ned_m[1]
+        if (path := self._mission.area.terrain) is not None:
+            heights, (*home_m, down_m) = read_heights(path), home_ned_m
+            self._terrain = Terrain(heights, origin, np.array(home_m), down_m)
         if (centre := _area_centre(self._mission, origin.altitude_m)) is not None:
             north, east, _ = (float(v) for v in geo_to_ned(centre, origin))
         return lay_frame(self._mission, (north, east), home_ned_m[2])
+
+    def ground_down_m(self, places_ned_m: FloatArray, frame: AreaFrame) -> FloatArray:
+        """Down coordinate of the ground; the take-off's where its height is not known.
+
+        places_ned_m: (..., 2) north, east -> (...)
+        """
+        flat_m = np.full(places_ned_m.shape[:-1], frame.ground_down_m)
+        if self._terrain is None:
+            return flat_m
+        downs_m = self._terrain.down_m(places_ned_m)
+        return np.where(np.isnan(downs_m), flat_m, downs_m)
 
     def scene(
         self,
@@ -75,6 +92,8 @@ class World:
         walked_au = self.walked_au(self._walking_s)
         places = frame.au_to_ned(self._paths.positions_au(walked_au))
         headings = self._paths.headings_rad(walked_au)
+        below_m = float(self.ground_down_m(np.array(pose.position_ned_m[:2]), frame))
+        ups_m = (below_m - self.ground_down_m(places, frame)).tolist()
         animals = tuple(
             Animal(
                 name=target.name,
@@ -82,9 +101,13 @@ class World:
                 position_ned_m=(float(place[0]), float(place[1])),
                 heading_rad=math.pi / 2.0 + frame.heading_rad - float(heading),
                 walked_m=walked_au * frame.side_m,
+                up_m=up_m,
             )
-            for target, place, heading in zip(self._mission.targets, places, headings, strict=True)
+            for target, place, heading, up_m in zip(
+                self._mission.targets, places, headings, ups_m, strict=True
+            )
         )
+        frame = replace(frame, ground_down_m=below_m)
         return Scene(pose=pose, frame=frame, animals=animals, turn_rad_s=turn_rad_s)
 
 

@@ -94,7 +94,7 @@ def test_it_looks_at_where_the_drone_can_stop(north_m, speed_m_s, stops):
 
 
 def test_heights_are_left_by_the_margin_or_half():
-    heights = {height_m: _fence().is_at_height(_pose(down_m=0.5 - height_m)) for height_m in
+    heights = {height_m: _fence().is_at_height(_pose(down_m=0.5 - height_m), -44.5) for height_m in
                (22.0, 23.0, 45.0, 74.0, 76.0)}  # fmt: skip
     assert [height_m for height_m, is_right in heights.items() if is_right] == [23.0, 45.0, 74.0]
 
@@ -141,7 +141,7 @@ def test_a_fence_can_be_that_which_was_laid_before():
     now, before = _fence((20.0, 30.0)), _fence((0.0, 200.0), margin_m=40.0)
     laid = now.laid_as(before.corners_ned_m)
     assert laid.corners_deg(ORIGIN) == before.corners_deg(ORIGIN)
-    assert laid.downs_m == now.downs_m
+    assert laid.heights_m == now.heights_m
     places_m = np.random.default_rng(0).uniform(-300.0, 300.0, (50, 2))
     np.testing.assert_allclose(laid.inside_m(places_m), before.inside_m(places_m), atol=1e-6)
 

@@ -29,7 +29,7 @@ class NoFly(Section):
     polygon_m: PolygonM | None = None
     """Its corners in order, metres [east, north] each of what the area's count from."""
     below_m: float | None = Field(None, gt=0.0, le=500.0)
-    """How far up from the take-off it reaches; all the way if absent."""
+    """Its height above the take-off, or the ground with follow_terrain; all the way if absent."""
 
     @model_validator(mode="after")
     def _one_polygon(self) -> NoFly:

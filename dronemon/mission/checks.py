@@ -34,6 +34,9 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
             f"{flight.speed_limit_m_s:g} is less than cruise_speed_m_s, "
             f"{flight.cruise_speed_m_s:g}; raise it, or leave it out for cruise and 10 %",
         )
+    if flight.follow_terrain and mission.area.terrain is None:
+        what = "needs area.terrain, a file of the ground's heights; name it, or leave this out"
+        yield ("flight", "follow_terrain"), what
     if not flawed and (problem := battery_problem(mission)):
         horizon = "horizon_min" if flight.horizon_min is not None else "horizon_au"
         yield ("flight", horizon if flight.relay is None else "endurance_min"), problem
@@ -117,22 +120,30 @@ def outbound_min(mission: Mission, away_m: float = 0.0) -> float:
 
 
 def return_min(
-    mission: Mission, away_m: float = 0.0, parameters: Mapping[str, float] = _AS_IT_COMES
+    mission: Mission,
+    away_m: float = 0.0,
+    parameters: Mapping[str, float] = _AS_IT_COMES,
+    top_m: float | None = None,
 ) -> float:
     """Time from the farthest corner to home and down to the ground.
 
     parameters: the vehicle's energy.RETURN_PARAMETERS
+    top_m:      above home, where it begins; the patrol's altitude unless it is given
     """
     legs_m = [(_reach_m(mission, away_m), 0.0)]
-    return cost_home(legs_m, mission.flight.altitude_m, parameters).time_s / 60.0
+    height_m = mission.flight.altitude_m if top_m is None else top_m
+    return cost_home(legs_m, height_m, parameters).time_s / 60.0
 
 
 def battery_problem(
-    mission: Mission, away_m: float = 0.0, parameters: Mapping[str, float] = _AS_IT_COMES
+    mission: Mission,
+    away_m: float = 0.0,
+    parameters: Mapping[str, float] = _AS_IT_COMES,
+    top_m: float | None = None,
 ) -> str | None:
     """Say why the battery does not allow the flight, if so. See return_min."""
     flight, limit = mission.flight, usable_min(mission)
-    minutes = outbound_min(mission, away_m) + return_min(mission, away_m, parameters)
+    minutes = outbound_min(mission, away_m) + return_min(mission, away_m, parameters, top_m)
     what = "take-off, the way to the start, the patrol and the way home take"
     mend = "shorten the horizon, the side or the way, or fly on with fresh batteries: flight.relay"
     if flight.relay is not None:

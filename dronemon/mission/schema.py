@@ -38,6 +38,9 @@ Place = Annotated[tuple[_Coordinate, _Coordinate], Field(strict=False)]
 _TURN_S = 4.0
 _BLOWN_OFF_M, _BLOWN_OFF_S = 1.0, 0.3
 """How far off its path a drone is in wind, at rest and for each metre per second."""
+FOLLOWING_M_S = 1.2
+"""Up or down, at most, over ground that is followed: PX4 sinks at 1.5 m/s at most as it comes, and
+what is left of that is for staying there."""
 GIMBAL_ERROR_DEG = 5.0
 """How far a gimbal that was told to look down may look off."""
 
@@ -46,7 +49,9 @@ class Flight(Section):
     """How the drone flies."""
 
     altitude_m: float = Field(45.0, ge=2.0, le=500.0)
-    """Height above the take-off point on patrol."""
+    """Height above the take-off point on patrol; above the ground below with follow_terrain."""
+    follow_terrain: bool = False
+    """Whether to fly over hills and valleys of area.terrain, rather than at one height."""
     stand_off_m: float = Field(10.0, ge=2.0, le=500.0)
     """How far below the patrol the highest ground and zones that it flies over have to be."""
     cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0)
@@ -95,6 +100,11 @@ class Flight(Section):
     def clearance_m(self) -> float:
         """How far from its legs the drone may come: it cuts corners, and is blown off a little."""
         return 0.5 * self.turn_window_m + _BLOWN_OFF_M + _BLOWN_OFF_S * self.cruise_speed_m_s
+
+    @property
+    def steepest(self) -> float:
+        """Metres up or down for each metre over ground that is followed."""
+        return FOLLOWING_M_S / self.cruise_speed_m_s
 
     @property
     def bank_rad(self) -> float:

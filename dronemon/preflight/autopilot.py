@@ -8,7 +8,7 @@ from enum import Enum
 
 from dronemon.mission import Mission, reach_m
 from dronemon.mission.checks import battery_problem, outbound_min, return_min, usable_min
-from dronemon.preflight.findings import Facts, Judgement, go, no, warn
+from dronemon.preflight.findings import HIGH_M, Facts, Judgement, go, no, warn
 
 
 class _Deed(Enum):
@@ -58,7 +58,6 @@ _LOSS_S = (0.5, 1.0, 2.0, 5.0)
 _HOLD_MARGIN_S = 1.0
 _SLOWEST_START_S = 6.0
 """From arming to leaving the ground: a heartbeat, spooling up, the ramp of the thrust."""
-_HIGH_M = 120.0
 _FENCE_ROOM = 1.2
 _CRITICAL = (
     {"BAT_CRIT_THR": 0.07, "BAT_EMERGEN_THR": 0.05},
@@ -146,20 +145,26 @@ def on_link_lost(facts: Facts, _: Mission) -> Judgement:
 
 
 def on_return_height(facts: Facts, mission: Mission) -> Judgement:
-    """The height of the return, against the battery, a fence and rules."""
-    p, flight = facts.parameters, mission.flight
-    height_m = max(p["RTL_RETURN_ALT"], flight.altitude_m)
+    """The height of the return, against hills, the battery, a fence and rules."""
+    p, flight, top_m = facts.parameters, mission.flight, facts.top_m(mission)
+    height_m, least_m = max(p["RTL_RETURN_ALT"], top_m), flight.altitude_m
     what = f"the autopilot returns at {height_m:g} m above home"
-    mends = {"RTL_RETURN_ALT": math.ceil(min(flight.altitude_m, height_m))}
-    if problem := battery_problem(mission, facts.away_m, p):
-        is_mended = battery_problem(mission, facts.away_m, {**p, **mends}) is None
+    if flight.follow_terrain and facts.relief is not None:
+        what = f"the autopilot returns at {p['RTL_RETURN_ALT']:g} to {height_m:.0f} m above home"
+        least_m = top_m - flight.altitude_m + flight.stand_off_m  # no mast is between two looks
+        if not p["RTL_RETURN_ALT"] >= least_m:
+            why = f"hills, with flight.stand_off_m above them, need {least_m:.0f} m"
+            return no(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(least_m))
+    mends = {"RTL_RETURN_ALT": math.ceil(least_m)}
+    if problem := battery_problem(mission, facts.away_m, p, top_m):
+        is_mended = battery_problem(mission, facts.away_m, {**p, **mends}, top_m) is None
         return no(f"{what}: {problem}", **(mends if is_mended else {}))
-    if 0.0 < (top_m := p.get("GF_MAX_VER_DIST", 0.0)) <= height_m:
-        if top_m <= mends["RTL_RETURN_ALT"]:
-            mends["GF_MAX_VER_DIST"] = math.ceil(_FENCE_ROOM * flight.altitude_m)
+    if 0.0 < (most_m := p.get("GF_MAX_VER_DIST", 0.0)) <= height_m:
+        if most_m <= math.ceil(top_m):
+            mends["GF_MAX_VER_DIST"] = math.ceil(_FENCE_ROOM * top_m)
         return no(f"{what}, which is not below GF_MAX_VER_DIST", **mends)
-    if height_m > max(_HIGH_M, flight.altitude_m):
-        return warn(f"{what}: higher than the {_HIGH_M:g} m that most rules allow", **mends)
+    if height_m > max(HIGH_M, top_m):
+        return warn(f"{what}: higher than the {HIGH_M:g} m that most rules allow", **mends)
     return go(what)
 
 
@@ -219,13 +224,13 @@ def on_fence_size(facts: Facts, mission: Mission) -> Judgement:
     """Whether the patrol is within the fence around home."""
     p = facts.parameters
     farthest_m = facts.away_m + reach_m(mission)
-    height_m = mission.flight.altitude_m
+    height_m = facts.top_m(mission)
     problems, mends = [], {}
     if 0.0 < p["GF_MAX_HOR_DIST"] <= farthest_m:
         problems.append(f"the farthest corner is {farthest_m:.0f} m from home")
         mends["GF_MAX_HOR_DIST"] = math.ceil(_FENCE_ROOM * farthest_m)
     if 0.0 < p["GF_MAX_VER_DIST"] <= height_m:
-        problems.append(f"the patrol is at {height_m:g} m")
+        problems.append(f"the patrol is at {height_m:.4g} m")
         mends["GF_MAX_VER_DIST"] = math.ceil(_FENCE_ROOM * height_m)
     if problems:
         return no(f"{' and '.join(problems)}: outside this fence", **mends)
@@ -273,7 +278,7 @@ def on_battery(facts: Facts, mission: Mission) -> Judgement:
             f"{usable_min(mission):.1f} min in the air instead"
         )
     left_min = (facts.battery - flight.reserve_battery) * flight.endurance_min
-    home_min = return_min(mission, facts.away_m, facts.parameters)
+    home_min = return_min(mission, facts.away_m, facts.parameters, facts.top_m(mission))
     needed_min = outbound_min(mission, facts.away_m) + home_min
     what = f"it lasts {max(left_min, 0.0):.1f} min down to {flight.reserve_battery:.0%}"
     if left_min < needed_min - mission.patrol_duration_s / 60.0:

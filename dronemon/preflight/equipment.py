@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from dronemon.errors import CameraError
 from dronemon.mission import Mission
-from dronemon.preflight.findings import Facts, Judgement, go, no, warn
+from dronemon.mission.schema import FOLLOWING_M_S
+from dronemon.preflight.findings import HIGH_M, Facts, Judgement, go, no, warn
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 
 _LEAST_SATELLITES, _GOOD_SATELLITES = 6, 8
 _GOOD_DILUTION, _WORST_DILUTION = 2.0, 2.5
+CLIMBING = MappingProxyType({"MPC_Z_VEL_MAX_UP": 3.0, "MPC_Z_VEL_MAX_DN": 1.5})
+"""How fast PX4 climbs and sinks at most, as it comes."""
 
 
 def on_readiness(facts: Facts, _: Mission) -> Judgement:
@@ -57,17 +62,19 @@ def on_gimbal(facts: Facts, mission: Mission) -> Judgement:
 
 def on_relief(facts: Facts, mission: Mission) -> Judgement:
     """Whether hills stay below the flight, and the camera sees what it must over hill and dale."""
-    relief, altitude_m = facts.relief, mission.flight.altitude_m
+    relief, flight = facts.relief, mission.flight
     if relief is None:
         return go("no hills are known: area.terrain is not given")
-    least_m, most_m = altitude_m - relief.highest_m, altitude_m - relief.lowest_m
-    if least_m < mission.flight.stand_off_m:
+    least_m, most_m = relief.least_m, relief.most_m
+    if least_m < flight.stand_off_m:
+        enough_m = flight.altitude_m - least_m + flight.stand_off_m
         return no(
-            f"the highest is {least_m:.0f} m below the flight, not {mission.flight.stand_off_m:g};"
-            f" set flight.altitude_m to {relief.highest_m + mission.flight.stand_off_m:.0f} or more"
+            f"the highest is {least_m:.0f} m below the flight, not {flight.stand_off_m:g};"
+            f" set flight.altitude_m to {enough_m:.0f} or more"
         )
+    which = ", which follows it" if flight.follow_terrain else ""
     seen = (
-        f"{least_m:.0f} to {most_m:.0f} m below the flight: {relief.px_m / most_m:.1f} to "
+        f"{least_m:.0f} to {most_m:.0f} m below the flight{which}: {relief.px_m / most_m:.1f} to "
         f"{relief.px_m / least_m:.1f} pixels a metre"
     )
     if least_m < relief.needed_m:
@@ -76,10 +83,26 @@ def on_relief(facts: Facts, mission: Mission) -> Judgement:
             f"takes {relief.needed_m:.0f} m; fly higher, or make the sensor radius smaller"
         )
     if relief.px_m / most_m < relief.needed_px_per_m:
+        slower = ", or slower, which follows steeper ground," if flight.follow_terrain else ","
         return no(
             f"{seen}; over the lowest the detector does not have the {relief.needed_px_per_m:g} "
-            "that it needs; fly lower, or use a camera with more pixels"
+            f"that it needs; fly lower{slower} or use a camera with more pixels"
         )
+    return _on_following(facts, mission, seen) if flight.follow_terrain else go(seen)
+
+
+def _on_following(facts: Facts, mission: Mission, seen: str) -> Judgement:
+    """Whether the vehicle may climb and sink so fast; and what rules say of valleys."""
+    slow = {
+        name: speed_m_s
+        for name, speed_m_s in CLIMBING.items()
+        if not facts.parameters.get(name, speed_m_s) >= FOLLOWING_M_S
+    }
+    if slow:
+        what = f"{seen}; to follow it takes {FOLLOWING_M_S:g} m/s up and down"
+        return no(f"{what}, and {' and '.join(slow)} allow less", **slow)
+    if facts.relief is not None and facts.relief.most_m > max(HIGH_M, mission.flight.altitude_m):
+        return warn(f"{seen}; over valleys that is more than the {HIGH_M:g} m of most rules")
     return go(seen)
 
 

@@ -10,6 +10,9 @@ from dronemon.errors import CameraError
 from dronemon.mission import Mission
 from dronemon.types import GpsFix
 
+HIGH_M = 120.0
+"""What most rules allow, above the ground below."""
+
 
 class Verdict(StrEnum):
     """What a row says; the last one forbids the take-off."""
@@ -69,6 +72,8 @@ class Relief:
     """The ground where a flight goes, and what its camera needs over it.
 
     highest_m, lowest_m: above the take-off
+    least_m, most_m:     how far below the flight it is
+    top_m:               greatest height of the flight above the take-off
     px_m:                the camera's focal length: pixels a metre, times the height
     needed_m:            least height from which it shows all that is to be looked at
     needed_px_per_m:     of the detector; 0 if nobody has said
@@ -76,6 +81,9 @@ class Relief:
 
     highest_m: float
     lowest_m: float
+    least_m: float
+    most_m: float
+    top_m: float
     px_m: float
     needed_m: float
     needed_px_per_m: float
@@ -116,6 +124,10 @@ class Facts:
     free_bytes: int
     needed_bytes: int
     hold_limit_s: float
+
+    def top_m(self, mission: Mission) -> float:
+        """Greatest height of the patrol above the take-off."""
+        return mission.flight.altitude_m if self.relief is None else self.relief.top_m
 
 
 @dataclass(frozen=True, slots=True)

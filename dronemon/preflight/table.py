@@ -75,7 +75,8 @@ TABLE = (
     Row("disk", (), equipment.on_disk, lambda f: f"{f.free_bytes / 1e6:.0f} MB free"),
 )
 # fmt: on
-PARAMETERS = tuple({name: None for row in TABLE for name in (*row.parameters, "COM_RC_IN_MODE")})
+_ASIDE = ("COM_RC_IN_MODE", *equipment.CLIMBING)  # of rows that can be judged without
+PARAMETERS = tuple({name: None for row in TABLE for name in (*row.parameters, *_ASIDE)})
 """All that is asked of the vehicle."""
 
 

@@ -24,6 +24,7 @@ class Battery:
     drag:       how the air brakes the vehicle; whoever guides it lets it learn
     parameters: the vehicle's energy.RETURN_PARAMETERS
     legs_home:  the way home from a place, each leg (north, east) in m, where it is not straight
+    end_m:      height above home at which that ends, where it follows the ground
     """
 
     def __init__(self, link: VehicleLink, flight: Flight) -> None:
@@ -36,6 +37,7 @@ class Battery:
         self.drag = Drag()
         self.parameters: Mapping[str, float] = {}
         self.legs_home: Callable[[Point], Sequence[Point]] | None = None
+        self.end_m: float | None = None
         self._time_s = math.inf
         self._home: tuple[GeoPoint | None, GeoPoint | None] = None, None
         self._home_ned_m: Vector3 = (0.0, 0.0, 0.0)
@@ -75,7 +77,8 @@ class Battery:
                 legs_m = self.legs_home((north, east))
             else:
                 legs_m = [(home_north - north, home_east - east)]
-            cost = cost_home(legs_m, home_down - down, self.parameters, self.drag.wind)
+            height_m = home_down - down if self.end_m is None else self.end_m
+            cost = cost_home(legs_m, height_m, self.parameters, self.drag.wind)
             self.needed = self._drain.needed(cost)
 
     def _fly(self, passed_s: float, effort_rate: float) -> None:

@@ -211,10 +211,12 @@ class _Flight:
         self._refuse_to_take_over()
         if not self._is_attached:
             await self._check_fitness(sight, frame, gimbal)
-        fence = await ground.lay_fence(frame)
+        profile, fence = ground.lay_profile(frame), await ground.lay_fence(frame)
+        self._launch_m = profile.height_m(home_m(link), frame.ground_down_m)
         routes = Routes(frame, home_m(link))
         if not routes.are_straight:
             self._battery.legs_home = routes.legs_home
+            self._battery.end_m = self._launch_m if self._mission.flight.follow_terrain else None
         start_au, roadmap = draw_start_and_roadmap(mission)
         await self._brief_planner(start_au, roadmap)
         self._tell_resumed(frame)
@@ -225,6 +227,7 @@ class _Flight:
             self._events,
             self._battery,
             frame=frame,
+            profile=profile,
             fence=fence,
             routes=routes,
             roadmap=roadmap,
@@ -299,8 +302,8 @@ class _Flight:
         self._events.note("armed", "motors are running", home_ned_m=self._home_ned_m)
         async with self._setup.interrupts.leaving():
             self._progress("taking off")
-            await self._link.take_off(self._mission.flight.altitude_m)
-        self._events.note("airborne", f"at {self._mission.flight.altitude_m:g} m")
+            await self._link.take_off(self._launch_m)
+        self._events.note("airborne", f"at {self._launch_m:g} m")
 
     async def _attach(self) -> None:
         assert self._history is not None

@@ -14,11 +14,14 @@ from dronemon.mission import Mission
 from dronemon.roadmap import Roadmap
 from dronemon.runner.inspection import fence_around, lay_area
 from dronemon.runner.preparation import FlightSetup
+from dronemon.runner.profile import Profile
+from dronemon.runner.relief import profile_over, surface_of
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import FenceItem, are_alike, polygon_items
 
 _POSES = 20
 """Whose mean height is the ground's."""
+_HEIGHT_DOUBT_M = 5.0
 
 
 class Ground:
@@ -68,6 +71,27 @@ class Ground:
         assert state.origin is not None
         around = laid.centre if laid else state.home
         return lay_area(self._mission, around, state.origin, float(np.mean(downs_m)))
+
+    def lay_profile(self, frame: AreaFrame) -> Profile:
+        """How high the patrol is over each place.
+
+        Raises MissionFileError for a terrain that does not cover it, VehicleError for one that is
+        laid at another height than the vehicle, on the ground, says of itself.
+        """
+        state = self._link.state
+        assert state.home is not None  # wait_ready waited for both
+        assert state.origin is not None
+        surface = surface_of(self._mission, frame, state.home, state.origin)
+        if self._mission.flight.follow_terrain and not self._is_attached:
+            *here_m, down_m = self._link.pose.position_ned_m
+            up_m = float(surface.down_m(np.array(here_m))) - down_m
+            if not abs(up_m) <= _HEIGHT_DOUBT_M:
+                raise VehicleError(
+                    f"by what the vehicle says of its height, it stands {up_m:+.0f} m above the"
+                    " ground of area.terrain: hills are not where they seem; take off from where"
+                    " this run began, or begin another"
+                )
+        return profile_over(surface, self._mission, frame, state.origin)
 
     async def lay_fence(self, frame: AreaFrame) -> Fence:
         """Have the vehicle keep the fence that the guard keeps, or in the air see that it does."""

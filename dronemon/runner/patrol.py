@@ -28,6 +28,7 @@ from dronemon.runner.deciding import decide
 from dronemon.runner.history import ORIGIN_DOUBT_M
 from dronemon.runner.observer import Observer
 from dronemon.runner.preparation import FlightSetup
+from dronemon.runner.profile import Profile
 from dronemon.runner.routes import Routes
 from dronemon.runner.supervisor import PLANNER_LIMIT_S, PLANNER_LIMIT_WALL_S, Supervisor
 from dronemon.runner.tally import Tally
@@ -69,6 +70,7 @@ class Patrol:
         battery: Battery,
         *,
         frame: AreaFrame,
+        profile: Profile,
         fence: Fence,
         routes: Routes,
         roadmap: Roadmap,
@@ -79,7 +81,7 @@ class Patrol:
         self._link = setup.link
         self._supervisor = supervisor
         self._events = events
-        self._frame = frame
+        self._frame, self._profile = frame, profile
         self._fence, self._routes = fence, routes
         self._roadmap = roadmap
         self._battery, self._drag = battery, battery.drag
@@ -89,8 +91,8 @@ class Patrol:
         self._origin = setup.link.state.origin  # of the frame in which all that is laid
         self._horizon_m = self._mission.horizon_au * frame.side_m
         self._num_pictures = self._mission.num_pictures
-        self._down_m = frame.ground_down_m - self._mission.flight.altitude_m
-        self._jumped_down_m = setup.link.state.jumped_down_m
+        self._jumped_down_m = setup.link.state.jumped_down_m  # before the area was laid
+        self._lower_m = 0.0  # by how much the profile is, for what the height has jumped since
         self._waypoint_au = start_au
         self._node: int | None = 0
         if history and history.waypoint_au is not None:
@@ -149,16 +151,20 @@ class Patrol:
         self._on_path_s = self._got_there_s = pose.time_s
         return True
 
+    def _is_inside(self, pose: Pose) -> bool:
+        down_m = self._profile.down_m(pose.position_ned_m[:2])
+        return self._fence.stops_inside(pose) and self._fence.is_at_height(pose, down_m)
+
     def _is_at_height(self, pose: Pose) -> bool:
-        off_m = abs(pose.position_ned_m[2] - self._down_m)
+        down_m = self._profile.down_m(pose.position_ned_m[:2]) + self._lower_m
+        off_m = abs(pose.position_ned_m[2] - down_m)
         return off_m <= _HEIGHT_BAND_M + _HEIGHT_BAND * self._mission.flight.altitude_m
 
     def _set_out(self, pose: Pose) -> None:
         """Begin a path here, to the newest waypoint, at the height that was flown so far."""
         flight, state = self._mission.flight, self._link.state
         self._num_resets = state.num_resets
-        self._down_m += state.jumped_down_m - self._jumped_down_m
-        self._jumped_down_m = state.jumped_down_m
+        self._lower_m = state.jumped_down_m - self._jumped_down_m
         self._carrot = Carrot(
             pose.position_ned_m[:2],
             speed_m_s=flight.cruise_speed_m_s,
@@ -191,7 +197,7 @@ class Patrol:
                 is_horizon_flown=self._is_horizon_flown(),
                 is_planner_late=self._is_planner_late(pose),
                 is_estimate_silent=not self._link.state.is_estimate_heard,
-                is_outside=not (self._fence.stops_inside(pose) and self._fence.is_at_height(pose)),
+                is_outside=not self._is_inside(pose),
                 is_off_path=self._is_off_path(pose),
                 is_stuck=self._is_stuck(pose),
                 is_blind=self._observer.is_blind(pose.time_s),
@@ -242,9 +248,10 @@ class Patrol:
         self, position_m: Point, velocity_m_s: Point = _STILL, acceleration_m_s2: Point = _STILL
     ) -> Setpoint:
         (north, east), drag = acceleration_m_s2, self._drag.per_s
+        down_m, sinking_m_s = self._profile.motion(position_m, velocity_m_s)
         return Setpoint(
-            position_ned_m=(*position_m, self._down_m),
-            velocity_ned_m_s=(*velocity_m_s, 0.0),
+            position_ned_m=(*position_m, down_m + self._lower_m),
+            velocity_ned_m_s=(*velocity_m_s, sinking_m_s),
             acceleration_ned_m_s2=(
                 north + drag * velocity_m_s[0],
                 east + drag * velocity_m_s[1],

@@ -1,15 +1,20 @@
-"""The ground that a flight looks at, flat or with hills."""
+"""The ground that a flight looks at, flat or with hills, and how it flies over it."""
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from dronemon.errors import MissionFileError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import Mission
 from dronemon.preflight import Relief
+from dronemon.runner.profile import Profile
 from dronemon.types import FloatArray
-from dronemon.vision.heights import read_heights
+from dronemon.vision.envelope import Envelope
+from dronemon.vision.heights import HeightGrid, read_heights
 from dronemon.vision.surface import Plane, Surface
 from dronemon.vision.terrain import Terrain
 from dronemon.vision.view import needed_altitude_m, needed_px_per_m
@@ -25,8 +30,22 @@ def surface_of(mission: Mission, frame: AreaFrame, home: GeoPoint, origin: GeoPo
     """
     if mission.area.terrain is None:
         return Plane(frame.ground_down_m)
-    terrain, _ = _surveyed(mission.area.terrain, frame, home, origin)
+    terrain, _ = _surveyed(mission, mission.area.terrain, frame, home, origin)
     return terrain
+
+
+def profile_over(surface: Surface, mission: Mission, frame: AreaFrame, origin: GeoPoint) -> Profile:
+    """How high the patrol is over each place of a ground from `surface_of`; origin: as there."""
+    path, flight = mission.area.terrain, mission.flight
+    if not (flight.follow_terrain and path and isinstance(surface, Terrain)):
+        return Profile(Plane(frame.ground_down_m), flight.altitude_m)
+    grid = _enveloped(path, flight.steepest)
+    return Profile(Envelope(grid, origin, surface.level_down_m), flight.altitude_m)
+
+
+@cache
+def _enveloped(path: str, steepest: float) -> HeightGrid:
+    return read_heights(path).enveloped(steepest)
 
 
 def relief_of(
@@ -38,11 +57,16 @@ def relief_of(
     """
     if mission.area.terrain is None:
         return None
-    _, downs_m = _surveyed(mission.area.terrain, frame, home, origin)
-    px = needed_px_per_m(mission)
+    terrain, places_m = _surveyed(mission, mission.area.terrain, frame, home, origin)
+    downs_m = terrain.down_m(places_m)
+    profile, px = profile_over(terrain, mission, frame, origin), needed_px_per_m(mission)
+    over_m = profile.heights_m(places_m, downs_m)
     return Relief(
         highest_m=frame.ground_down_m - float(downs_m.min()),
         lowest_m=frame.ground_down_m - float(downs_m.max()),
+        least_m=float(over_m.min()),
+        most_m=float(over_m.max()),
+        top_m=float(profile.heights_m(places_m, frame.ground_down_m).max()),
         px_m=mission.camera.model.focal_px,
         needed_m=needed_altitude_m(mission),
         needed_px_per_m=px if px is not None else 0.0,
@@ -50,9 +74,12 @@ def relief_of(
 
 
 def _surveyed(
-    path: str, frame: AreaFrame, home: GeoPoint, origin: GeoPoint
+    mission: Mission, path: str, frame: AreaFrame, home: GeoPoint, origin: GeoPoint
 ) -> tuple[Terrain, FloatArray]:
-    """A file's ground, and how far down it is all over the area's box and on the way from home.
+    """A file's ground, and the places where it was looked at. -> (..., 2) north, east
+
+    Those are all over the area's box and on the way from home; for a flight that follows the
+    ground, over all ways between home and the area: it is no higher on these.
 
     Raises MissionFileError where that is not known.
     """
@@ -62,11 +89,24 @@ def _surveyed(
     num_looks = int(min(across_m / grid.cell_m + 2, _MOST_LOOKS))
     places_m = frame.au_to_ned(frame.arena.grid(num_looks))
     nearest_m = places_m[np.linalg.norm(places_m - home_ned_m, axis=1).argmin()]
-    way_m = np.linspace(home_ned_m, nearest_m, num_looks)
-    downs_m = terrain.down_m(np.concatenate([places_m, way_m]))
-    if np.isnan(downs_m).any():
+    ways_m = [np.linspace(home_ned_m, nearest_m, num_looks)]
+    if mission.flight.follow_terrain:
+        ways_m.append(_between(places_m, home_ned_m, num_looks))
+    places_m = np.concatenate([places_m, *ways_m])
+    if np.isnan(terrain.down_m(places_m)).any():
         raise MissionFileError(
             f"{path}: has no heights of all the area and of the take-off place, {home}; name a "
             "larger grid"
         )
-    return terrain, downs_m
+    return terrain, places_m
+
+
+def _between(places_m: FloatArray, home_m: FloatArray, num_looks: int) -> FloatArray:
+    """Places in the hull of others and home, so many along each side. places_m: (n, 2)."""
+    hull = ConvexHull(np.concatenate([places_m, home_m[None]]))
+    bounds = zip(hull.min_bound, hull.max_bound, strict=True)
+    sides = [np.linspace(low, high, num_looks) for low, high in bounds]
+    box_m = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+    is_in = (box_m @ hull.equations[:, :2].T + hull.equations[:, 2] <= 0.0).all(axis=1)
+    inside_m: FloatArray = box_m[is_in]
+    return inside_m

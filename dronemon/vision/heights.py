@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -51,13 +52,37 @@ class HeightGrid:
         column = (places_deg[..., 1] - self.west_deg) / self.cell_deg
         is_off = ~((row >= 0.0) & (row <= rows - 1) & (column >= 0.0) & (column <= columns - 1))
         row, column = np.where(is_off, 0.0, row), np.where(is_off, 0.0, column)
+        return np.where(is_off, np.nan, self.between(row, column))
+
+    def between(self, row: FloatArray, column: FloatArray) -> FloatArray:
+        """Height at a place on the grid, counted in rows and columns from 0. (...) -> (...)."""
+        rows, columns = self.heights_m.shape
         below = np.minimum(row.astype(np.int64), rows - 2)
         left = np.minimum(column.astype(np.int64), columns - 2)
         up, right = row - below, column - left
         h = self.heights_m
         south = h[below, left] * (1.0 - right) + h[below, left + 1] * right
         north = h[below + 1, left] * (1.0 - right) + h[below + 1, left + 1] * right
-        return np.where(is_off, np.nan, south * (1.0 - up) + north * up)
+        height: FloatArray = south * (1.0 - up) + north * up
+        return height
+
+    def enveloped(self, steepest: float) -> HeightGrid:
+        """The lowest heights that are nowhere below these, nor steeper; all of them are known.
+
+        A cone hangs from every height, and the highest counts. Along rows and columns it falls by
+        `steepest` over the root of 2, so that between the heights, too, no way is steeper.
+
+        steepest: metres down for each metre aside
+        """
+        north_deg = self.south_deg + self.cell_deg * (len(self.heights_m) - 1)
+        farthest_deg = max(abs(self.south_deg), abs(north_deg))
+        east_m = self.cell_m * math.cos(math.radians(farthest_deg))  # where cells are narrowest
+        heights_m = np.where(np.isnan(self.heights_m), -np.inf, self.heights_m)
+        for lines, cell_m in ((heights_m, self.cell_m), (heights_m.T, east_m)):
+            for ahead in (lines, lines[::-1]):
+                for before, line in pairwise(ahead):
+                    np.maximum(line, before - steepest * cell_m / math.sqrt(2.0), out=line)
+        return replace(self, heights_m=heights_m)
 
 
 @cache

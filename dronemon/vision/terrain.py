@@ -31,13 +31,13 @@ class Terrain:
         """origin: of the local frame; home_ned_m, home_down_m: of the ground at the take-off."""
         self._grid, self._origin = grid, origin
         home_m = float(grid.at(ned_to_degrees(home_ned_m, origin)))
-        self._level_down_m = home_down_m + home_m  # of a height of 0
+        self.level_down_m = home_down_m + home_m  # of a height of 0
         lowest, highest = np.nanmin(grid.heights_m), np.nanmax(grid.heights_m)
-        self._top_m, self._bottom_m = self._level_down_m - highest, self._level_down_m - lowest
+        self._top_m, self._bottom_m = self.level_down_m - highest, self.level_down_m - lowest
 
     def down_m(self, place_ned_m: FloatArray) -> FloatArray:
         """See `Surface`; NaN where no height is known."""
-        down: FloatArray = self._level_down_m - self._grid.at(
+        down: FloatArray = self.level_down_m - self._grid.at(
             ned_to_degrees(place_ned_m, self._origin)
         )
         return down

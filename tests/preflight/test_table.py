@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -70,7 +71,19 @@ def test_a_vehicle_that_nothing_is_against_is_go_in_every_row():
     assert mending_options(findings) == ""
 
 
-RELIEF = Relief(highest_m=10.0, lowest_m=-5.0, px_m=400.0, needed_m=30.0, needed_px_per_m=5.0)
+def _hills(highest_m: float = 10.0, lowest_m: float = -5.0, px: float = 5.0) -> Relief:
+    """Below a flight at one height."""
+    altitude_m = MISSION.flight.altitude_m
+    return Relief(
+        highest_m=highest_m,
+        lowest_m=lowest_m,
+        least_m=altitude_m - highest_m,
+        most_m=altitude_m - lowest_m,
+        top_m=altitude_m,
+        px_m=400.0,
+        needed_m=30.0,
+        needed_px_per_m=px,
+    )
 
 
 @pytest.mark.parametrize(
@@ -84,19 +97,89 @@ RELIEF = Relief(highest_m=10.0, lowest_m=-5.0, px_m=400.0, needed_m=30.0, needed
             "is 7 m below the flight, not 10; set flight.altitude_m to 48 or more",
         ),
         ({"lowest_m": -36.0}, NO_GO, "over the lowest the detector does not have the 5 that it"),
-        ({"lowest_m": -36.0, "needed_px_per_m": 0.0}, GO, "35 to 81 m below the flight"),
+        ({"lowest_m": -36.0, "px": 0.0}, GO, "35 to 81 m below the flight"),
     ],
 )
 def test_hills_stay_below_the_flight_and_the_camera_sees_enough_over_hill_and_dale(
     changes: dict[str, float], verdict: Verdict, words: str
 ):
-    found = _found("ground below", replace(FACTS, relief=replace(RELIEF, **changes)))
+    found = _found("ground below", replace(FACTS, relief=_hills(**changes)))
     assert found.judgement.verdict is verdict
     assert words in found.judgement.meaning
     assert found.value == (
         f"{changes.get('lowest_m', -5.0):+.0f} to {changes.get('highest_m', 10.0):+.0f} m from the"
         " take-off's"
     )
+
+
+FOLLOWING = MISSION.model_copy(
+    update={"flight": MISSION.flight.model_copy(update={"follow_terrain": True})}
+)
+FOLLOWED = Relief(
+    highest_m=40.0,
+    lowest_m=-30.0,
+    least_m=45.0,
+    most_m=62.0,
+    top_m=85.0,
+    px_m=400.0,
+    needed_m=30.0,
+    needed_px_per_m=5.0,
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "relief", "parameters", "verdict", "words"),
+    [
+        (
+            "ground below",
+            {},
+            {},
+            GO,
+            "45 to 62 m below the flight, which follows it: 6.5 to 8.9 px",
+        ),
+        ("ground below", {"least_m": 8.0}, {}, NO_GO, "set flight.altitude_m to 47 or more"),
+        ("ground below", {"most_m": 81.0}, {}, NO_GO, "fly lower, or slower, which follows steep"),
+        ("ground below", {"most_m": 121.0, "needed_px_per_m": 0.0}, {}, WARNING, "the 120 m of"),
+        (
+            "ground below",
+            {},
+            {"MPC_Z_VEL_MAX_DN": 1.0},
+            NO_GO,
+            "takes 1.2 m/s up and down, and MPC",
+        ),
+        ("ground below", {}, {"MPC_Z_VEL_MAX_UP": math.nan}, NO_GO, "and MPC_Z_VEL_MAX_UP allow"),
+        ("height of the return", {}, {}, GO, "returns at 60 to 85 m above home"),
+        ("height of the return", {}, {"RTL_RETURN_ALT": 49.0}, NO_GO, "straight: hills, with fli"),
+        ("height of the return", {"top_m": 130.0}, {"RTL_RETURN_ALT": 131.0}, WARNING, "131 m"),
+        (
+            "height of the return",
+            {"top_m": 1600.0},
+            {"RTL_RETURN_ALT": 1600.0},
+            NO_GO,
+            "min endurance",
+        ),
+        (FENCE, {}, {"GF_MAX_VER_DIST": 84.0}, NO_GO, "the patrol is at 85 m: outside"),
+        (FENCE, {}, {"GF_MAX_VER_DIST": 86.0}, GO, "within"),
+    ],
+)
+def test_a_flight_that_follows_the_ground_is_judged_by_its_hills(
+    name: str,
+    relief: dict[str, float],
+    parameters: dict[str, float],
+    verdict: Verdict,
+    words: str,
+):
+    facts = replace(FACTS, relief=replace(FOLLOWED, **relief), parameters=GOOD | parameters)
+
+    def found(facts: Facts) -> Finding:
+        return next(finding for finding in judge(facts, FOLLOWING) if finding.name == name)
+
+    finding = found(facts)
+    assert finding.judgement.verdict is verdict
+    assert words.replace("px", "pixels") in finding.judgement.meaning
+    if mends := finding.judgement.mends:
+        mended = found(replace(facts, parameters=facts.parameters | mends))
+        assert mended.judgement.verdict in {GO, WARNING}
 
 
 def test_no_height_of_the_return_mends_an_area_too_far_away():

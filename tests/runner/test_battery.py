@@ -15,6 +15,7 @@ from fake_link import ORIGIN, FakeCamera, FakeLink
 from flights import Blind, Listener
 from windy_vehicle import WindyVehicle
 
+from dronemon.energy import cost_home
 from dronemon.events import Audience, Measured, Progressed
 from dronemon.mission import load_mission
 from dronemon.mission.schema import Flight
@@ -207,3 +208,19 @@ def test_a_battery_that_recovers_on_the_ground_was_flown_to_what_it_had_in_the_a
     link.hover(battery, 1.0, battery=0.9)
     link.hover(battery, 1.0, is_armed=False)
     assert battery.flown_to == 0.51
+
+
+@pytest.mark.parametrize("down_m", [-90.0, -45.0, 20.0])
+def test_a_way_home_that_follows_the_ground_ends_as_high_as_that_is_there(down_m: float):
+    """From there the autopilot climbs to the height of its return, and comes down."""
+    link = _Link()
+    battery = Battery(link, Flight(endurance_min=30.0))
+    battery.parameters = {"RTL_RETURN_ALT": 80.0}
+    battery.legs_home, battery.end_m = lambda _: [(100.0, 0.0), (0.0, 50.0)], 45.0
+    link.pose = replace(link.pose, position_ned_m=(0.0, 0.0, down_m))
+    link.hover(battery, 1.0, battery=1.0)
+    cost = cost_home([(100.0, 0.0), (0.0, 50.0)], 45.0, battery.parameters)
+    untold = 0.01  # levels come in whole percents
+    assert battery.needed == pytest.approx(cost.time_s / 1800.0 + untold, abs=1e-6)
+    high, low = (cost_home([(100.0, 0.0)], m, battery.parameters).time_s for m in (90.0, -20.0))
+    assert high != pytest.approx(low, abs=5.0), "it would matter"

@@ -105,6 +105,16 @@ def test_picture_agrees_with_frames(renderer, attitude):
     assert located == pytest.approx((place[0] - 0.35, place[1]), abs=0.3)
 
 
+@pytest.mark.parametrize("up_m", [-12.0, 8.0])
+def test_an_animal_stands_on_its_own_ground(renderer, up_m):
+    """Uphill it is shown as from so much less high."""
+    animal = replace(animal_at(123.0, -57.0), up_m=up_m)
+    scene = scene_of(animal, attitude=(0.1, -0.2, 1.0), at=(117.0, -48.0), height_m=30.0)
+    trunk_down_m = GROUND_DOWN_M - up_m - drawn_size_m("sheep")[2]
+    located = pixel_to_ground(changed_pixels(renderer, scene), CAMERA, scene.pose, trunk_down_m)
+    assert located.mean(axis=0) == pytest.approx((123.0 - 0.35, -57.0), abs=0.3)
+
+
 @pytest.mark.parametrize("heading_rad", [0.0, 1.0, -2.2])
 def test_nose_points_along_the_heading(renderer, heading_rad):
     scene = scene_of(animal_at(3.0, 2.0, heading_rad=heading_rad), height_m=15.0)

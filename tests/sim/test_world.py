@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ground_station import make_mission
+from hills import hill, write_hills
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -17,7 +18,7 @@ from dronemon.types import Pose
 from sim.faults import FaultSchedule, parse_camera_fault, parse_vehicle_fault
 from sim.flight import HOME_NED_M, MockFlight
 from sim.geodesy import LocalMap
-from sim.world import TruthFile, World
+from sim.world import TruthFile, World, home_place
 
 ORIGIN = GeoPoint(latitude_deg=47.0, longitude_deg=8.0, altitude_m=400.0)
 
@@ -190,3 +191,42 @@ def test_faults_switch_on_and_off_in_order() -> None:
     schedule.add(parse_fault("reboot"))
     schedule.advance(30.0, is_armed=True)
     assert seen[4:] == [("gps", 1.0), ("reboot", 1.0), ("gps", None)]
+
+
+def test_a_terrain_is_below_the_vehicle_and_below_each_animal(tmp_path: Path) -> None:
+    """A slope that rises 20 m in 100 m to the north, wherever the local frame's origin is."""
+    home = ned_to_geo(HOME_NED_M, ORIGIN)
+    write_hills(tmp_path / "ground.asc", home, lambda north, east: 0.2 * north + 0.0 * east)
+    mission = make_mission(area={"terrain": str(tmp_path / "ground.asc"), "side_m": 100})
+    world = World(mission)
+    frame = world.frame(HOME_NED_M, ORIGIN)
+    places_m = np.array([[0.0, 0.0], [50.0, 0.0], [-25.0, 40.0]]) + HOME_NED_M[:2]
+    below_m = world.ground_down_m(places_m, frame)
+    assert below_m == pytest.approx([-3.2, -13.2, 1.8], abs=0.05)
+    assert world.ground_down_m(np.array([1e5, 0.0]), frame) == -3.2
+    pose = Pose(
+        time_s=1.0,
+        position_ned_m=(HOME_NED_M[0] + 30.0, HOME_NED_M[1], -50.0),
+        velocity_ned_m_s=(0.0, 0.0, 0.0),
+        attitude_rad=(0.0, 0.0, 0.0),
+    )
+    scene = world.scene(pose, frame, 1.0)
+    assert scene.frame.ground_down_m == pytest.approx(-9.2, abs=0.05)
+    for animal in scene.animals:
+        higher_m = 0.2 * (animal.position_ned_m[0] - pose.position_ned_m[0])
+        assert animal.up_m == pytest.approx(higher_m, abs=0.05)
+
+
+def test_the_mock_does_not_land_where_the_ground_is_lower(tmp_path: Path) -> None:
+    """It flies down into a hollow, below the height of its take-off."""
+    down = hill(-30.0, 30.0, (0.0, 60.0))
+    write_hills(tmp_path / "ground.asc", home_place(make_mission()), down, cells=100)
+    mission = make_mission(area={"terrain": str(tmp_path / "ground.asc")})
+    flight = MockFlight(mission, World(mission))
+    body = flight.autopilot.body
+    body.position[:] = [HOME_NED_M[0], HOME_NED_M[1] + 60.0, -3.2 + 10.0]
+    for _ in range(30):
+        flight.step()
+    deep_m = 30.0 * (1.0 - math.exp(-2.0))
+    assert body.ground_down_m == pytest.approx(-3.2 + deep_m, abs=0.2)
+    assert not body.is_on_ground
