@@ -151,7 +151,9 @@ def _targets_fact(m: Mission) -> Iterator[str]:
     for _, group in groupby(m.targets, key=lambda target: target.entry):
         first, *rest = group
         names = f"{first.name} to {rest[-1].name}" if rest else first.name
-        yield f"{names} ({first.appearance})"
+        distance_m = m.kept_off_m.get(m.targets.index(first))
+        kept = f", kept {distance_m:g} m off" if distance_m else ""
+        yield f"{names} ({first.appearance}{kept})"
 
 
 def _relay_fact(m: Mission) -> str:

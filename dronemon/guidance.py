@@ -106,6 +106,12 @@ class Carrot:
         """Path left from the carrot to the last waypoint."""
         return max(self._legs[-1].end_m - self._s_m, 0.0) if self._legs else 0.0
 
+    @property
+    def ahead_m(self) -> list[Point]:
+        """The carrot's place on its legs, and the ends of these, one after the other."""
+        here_m = self._at(self._s_m) if self._legs else self.end_m
+        return [here_m, *(leg.b for leg in self._legs if leg.end_m > self._s_m)]
+
     def needs_waypoint(self, answer_s: float = 0.0) -> bool:
         """Whether to ask for the next leg, which takes `answer_s` to come."""
         ahead_s = _ASK_AHEAD_S + answer_s

@@ -26,7 +26,7 @@ class Ways:
         from scipy.sparse.csgraph import shortest_path  # slow, and of fields alone
 
         self._region = region
-        self.corners_au = np.concatenate([_turning_points(ring) for ring in region.rings])
+        self.corners_au = np.concatenate([turning_points(ring) for ring in region.rings])
         self.corners_au = self.corners_au[region.contains(self.corners_au)]
         count = len(self.corners_au)
         straight = self._straight(self.corners_au, self.corners_au)
@@ -76,7 +76,7 @@ class Ways:
         return np.concatenate([self.corners_au[turns], np.asarray(end_au)[None]])
 
 
-def _turning_points(ring: FloatArray) -> FloatArray:
+def turning_points(ring: FloatArray) -> FloatArray:
     """Corners at which the inside is more than a half turn, a little off them. (n, 2) -> (m, 2)."""
     came = ring - np.roll(ring, 1, axis=0)
     came /= np.linalg.norm(came, axis=-1, keepdims=True)

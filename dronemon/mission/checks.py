@@ -18,6 +18,8 @@ from dronemon.types import APPEARANCES
 
 _CLIMB_M_S = 1.5  # cautious, for the estimate of flight time
 _LEAST_PATROL_MIN = 1.0  # of each battery of a relay
+_IN_SIGHT = 0.9
+"""Share of the sensor radius from which targets that are kept off are still seen."""
 _AS_IT_COMES: Mapping[str, float] = MappingProxyType({})
 
 
@@ -27,6 +29,7 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
     yield from _detector_problems(mission)
     flawed = [*field_problems(mission)]
     yield from flawed or place_problems(mission)
+    yield from _keep_off_problems(mission)
     flight = mission.flight
     if flight.speed_limit_m_s < flight.cruise_speed_m_s:
         yield (
@@ -64,6 +67,24 @@ def _twins(mission: Mission) -> Iterator[Problem]:
                 "targets are told apart by it, so give each its own",
             )
         first.setdefault(target.name, target.entry)
+
+
+def _keep_off_problems(mission: Mission) -> Iterator[Problem]:
+    """Targets that a drone which keeps so far off would never see; an entry once."""
+    flight, sees_m = mission.flight, mission.sensor_radius_m
+    most_m = _IN_SIGHT * sees_m - flight.clearance_m
+    for entry, distance_m in {
+        mission.targets[n].entry: distance_m for n, distance_m in mission.kept_off_m.items()
+    }.items():
+        if distance_m > most_m:
+            less = f"keep {most_m:.1f} m or less off, " if most_m >= 1.0 else ""
+            yield (
+                ("targets", entry, "keep_off", "distance_m"),
+                f"{distance_m:g} m, and {flight.clearance_m:.1f} m that a drone of "
+                f"{flight.cruise_speed_m_s:g} m/s keeps for cutting corners, are too much to see "
+                f"it: the sensor radius is {sees_m:g} m; {less}fly slower, or make "
+                f"area.{mission.area.size[0]} larger",
+            )
 
 
 def _detector_problems(mission: Mission) -> Iterator[Problem]:

@@ -167,6 +167,15 @@ class Sensor(Section):
         return SensorModel(**self.model_dump())
 
 
+class KeepOff(Section):
+    """How near the drone may come on patrol."""
+
+    distance_m: float = Field(ge=1.0, le=500.0)
+    """Least distance over ground from where the target is believed to be."""
+    below_m: float = Field(ge=2.0, le=500.0)
+    """Height above the take-off point from which on it is not kept off any more."""
+
+
 class Target(Section):
     """One target to watch."""
 
@@ -187,6 +196,8 @@ class Target(Section):
         "takes it from the simulated world; x runs east and y north from the area's south-west "
         "corner, of a field in au, its box about [0.5, 0.5]; unknown if absent.",
     )
+    keep_off: KeepOff | None = None
+    """Distance to leave it in peace; of entries without, the drone flies over it."""
     _entry: int = PrivateAttr(0)
 
     @property
@@ -343,6 +354,13 @@ class Mission(Section):
         if self.flight.horizon_min is not None:
             return self.flight.horizon_min * 60.0 * self.flight.cruise_speed_m_s / self.area.side_m
         return self.flight.horizon_au if self.flight.horizon_au is not None else 30.0
+
+    @property
+    def kept_off_m(self) -> dict[int, float]:
+        """Number -> distance of each target that the drone keeps off at the patrol's height."""
+        asked = {n: t.keep_off for n, t in enumerate(self.targets) if t.keep_off is not None}
+        height_m = self.flight.altitude_m
+        return {n: off.distance_m for n, off in asked.items() if height_m < off.below_m}
 
     @property
     def seconds_per_au(self) -> float:

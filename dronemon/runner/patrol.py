@@ -27,6 +27,7 @@ from dronemon.runner.daemon import in_daemon_thread
 from dronemon.runner.deciding import decide
 from dronemon.runner.history import ORIGIN_DOUBT_M
 from dronemon.runner.observer import Observer
+from dronemon.runner.peace import Peace
 from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.profile import Profile
 from dronemon.runner.routes import Routes
@@ -88,6 +89,7 @@ class Patrol:
         history = setup.history
         self.tally = history.tally if history else None
         self._observer = Observer(setup, events, frame, battery, self.tally)
+        self._peace = Peace(self._mission, frame, self._observer.belief.sightings, events)
         self._origin = setup.link.state.origin  # of the frame in which all that is laid
         self._horizon_m = self._mission.horizon_au * frame.side_m
         self._num_pictures = self._mission.num_pictures
@@ -97,6 +99,7 @@ class Patrol:
         self._node: int | None = 0
         if history and history.waypoint_au is not None:
             self._waypoint_au, self._node = history.waypoint_au, history.node
+        self._chosen_au = self._waypoint_au  # it is told of `_waypoint_au`, where the path ends
         self._last_pose: Pose | None = None
         self._waiting_since: tuple[float, float] | None = None  # vehicle and wall time
         self._is_waypoint_due = self._is_planner_asked = self._is_slowness_told = False
@@ -211,6 +214,9 @@ class Patrol:
             if self._link.state.num_resets != self._num_resets:
                 self._events.note("position", "the estimate moved; so does the path", level="WARN")
                 self._set_out(pose)
+            elif not self._is_heading_home:
+                where = self._carrot, pose, self._waypoint_au, self._time_au(pose.time_s)
+                self._waypoint_au = self._peace.keep(*where)
             self._drag.take(pose)
             motion = self._carrot.advance(
                 min(duration_s, 4 * SETPOINT_INTERVAL_S), pose.position_ned_m[:2]
@@ -357,7 +363,9 @@ class Patrol:
         num_measurements = len(snapshot.sightings)
         began = time.perf_counter()
         planner = self._setup.planner
-        asked = partial(decide, planner, snapshot, self._waypoint_au, self._frame.arena)
+        told_au = self._waypoint_au
+        here_au = told_au if self._node is None else self._chosen_au
+        asked = partial(decide, planner, snapshot, here_au, self._frame.arena)
         waypoint, weights = await in_daemon_thread(asked, f"planner '{planner.name}'", PlannerError)
         if self._is_heading_home:  # nobody flies there any more
             return
@@ -369,7 +377,7 @@ class Patrol:
                 time_au=snapshot.time_au,
                 flown_au=snapshot.flown_au,
                 remaining_au=snapshot.remaining_au,
-                position_au=self._waypoint_au,
+                position_au=told_au,
                 waypoint_au=waypoint_au,
                 node=waypoint.node,
                 num_measurements=num_measurements,
@@ -382,8 +390,12 @@ class Patrol:
         self.tally.decision_ms.append(decision_ms)
         took_s = min(self._link.time_s - self._due_s, _ANSWER_LIMIT_S)
         self._answer_s = max(took_s, _ANSWER_MEMORY * self._answer_s)
-        self._carrot.extend(_point(self._frame.au_to_ned(waypoint_au)))
-        self._waypoint_au, self._node = waypoint_au, waypoint.node
+        time_au = self._time_au(self._link.time_s)
+        self._waypoint_au = self._peace.lengthen(self._carrot, waypoint_au, time_au)
+        self._chosen_au, self._node = waypoint_au, waypoint.node
+
+    def _time_au(self, now_s: float) -> float:
+        return self._frame.s_to_au(now_s - self.tally.start_s) if self.tally else 0.0
 
     def _snapshot(self, tally: Tally, now_s: float) -> Snapshot:
         """What the planner is told, as it will be at the waypoint that the drone is about to reach.
@@ -395,7 +407,7 @@ class Patrol:
         flown_au = tally.flown_m / self._frame.side_m + ahead_au
         due_au = until_measurement_au(flown_au)
         return Snapshot(
-            time_au=self._frame.s_to_au(now_s - tally.start_s) + ahead_au,
+            time_au=self._time_au(now_s) + ahead_au,
             flown_au=flown_au + (due_au if due_au < _NEXT_PICTURE_AU else 0.0),
             position_au=self._waypoint_au.copy(),
             node=self._node,

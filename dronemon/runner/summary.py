@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,10 @@ from dronemon.frames import GeoPoint
 from dronemon.mission import Mission, mission_arena
 from dronemon.problem import MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
 from dronemon.runner.flight import FlightResult
-from dronemon.runner.identity import identify
+from dronemon.runner.identity import Identities, identify
 from dronemon.runner.last_seen import LastSeen
+from dronemon.runner.nearness import KeptOff, kept_off
+from dronemon.runner.nearness import in_words as kept_in_words
 from dronemon.runner.preparation import mission_kernel
 from dronemon.runner.tally import Tally
 from dronemon.runner.watch import Watched, in_words, watch
@@ -74,7 +76,10 @@ class Score:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """What a flight came to; without a patrol there is no more to say than how it ended."""
+    """What a flight came to; without a patrol there is no more to say than how it ended.
+
+    kept_off: how near it came to each target that it keeps off, by its name
+    """
 
     outcome: str
     is_landed: bool
@@ -84,6 +89,7 @@ class Summary:
     error: str | None
     flown: Flown | None
     score: Score | None
+    kept_off: Mapping[str, KeptOff] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, object]:
         """Every figure by name, as summary.json has them after the outcome."""
@@ -92,6 +98,8 @@ class Summary:
         head = {name: getattr(self, name) for name in names}
         if self.last_seen is not None:
             head["last_seen"] = asdict(self.last_seen)
+        if self.kept_off:
+            head["kept_off"] = {name: asdict(how) for name, how in self.kept_off.items()}
         return head | {name: value for part in parts for name, value in part.items()}
 
 
@@ -108,6 +116,7 @@ def summarise(
     place_of: a position in au on the globe, None where that is not known
     """
     tally = result.tally
+    known = _identified(tally, truth, mission) if tally else None
     return Summary(
         outcome=result.outcome,
         is_landed=result.is_landed,
@@ -116,7 +125,8 @@ def summarise(
         landing_battery=result.landing_battery,
         error=str(result.error) if result.error else None,
         flown=flown(tally, mission, place_of) if tally else None,
-        score=_score(tally, truth, mission) if tally else None,
+        score=_score(tally, known, mission) if tally else None,
+        kept_off=kept_off(tally.sightings, known and known[0], mission) if tally else {},
     )
 
 
@@ -150,18 +160,26 @@ def flown(
     )
 
 
-def _score(tally: Tally, truth: Sequence[TruthTold], mission: Mission) -> Score:
-    """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth.
+def _identified(
+    tally: Tally, truth: Sequence[TruthTold], mission: Mission
+) -> tuple[FloatArray, Identities] | None:
+    """Where each target was at each measurement, (T, N, 2) au; None where that is not known.
 
     Where targets look alike, each is the one that it was taken for most often.
     """
-    sightings = tally.sightings
     true_au = truth_at(truth, tally.times_s)
-    if not sightings or true_au is None:
-        return Score()
+    if not tally.sightings or true_au is None:
+        return None
     looks = [target.appearance for target in mission.targets]
-    identities = identify(sightings, true_au, looks)
-    true_au = true_au[:, identities.targets]
+    identities = identify(tally.sightings, true_au, looks)
+    return true_au[:, identities.targets], identities
+
+
+def _score(tally: Tally, known: tuple[FloatArray, Identities] | None, mission: Mission) -> Score:
+    """Unc, JSD and MinOb of the beliefs that the flight had, replayed against the truth."""
+    if known is None:
+        return Score()
+    sightings, (true_au, identities) = tally.sightings, known
     replayed = Sightings(sightings.priors_au)
     belief = Belief(replayed, mission_kernel(mission))
     grid = evaluation_grid(mission_arena(mission))
@@ -231,7 +249,7 @@ def how_flown(values: Mapping[str, Any]) -> dict[str, str]:
     if values.get("pictures_cut"):
         show("pictures cut by a tilt", "{}", "pictures_cut")
     show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")
-    return table
+    return table | kept_in_words(values.get("kept_off", {}))
 
 
 _FIGURES = {

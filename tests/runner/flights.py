@@ -99,6 +99,7 @@ class Flight:
         self.detector: Any = Blind()
         self.picture_px = (640, 480)
         self.mission_text = MISSION
+        self.priors_au = np.array([[0.4, 0.6]])
         self.settings: dict[str, float] = {}
         self.history: History | None = None
         self.on_link: Callable[[FakeLink], None] = lambda link: None
@@ -118,7 +119,7 @@ class Flight:
                     camera=FakeCamera(self.link, *self.picture_px),
                     detector=self.detector,
                     planner=self.planner,
-                    priors_au=np.array([[0.4, 0.6]]),
+                    priors_au=self.priors_au,
                     record=self.record,
                     audience=Audience((self.view,)),
                     interrupts=self.interrupts,
