@@ -9,7 +9,14 @@ from itertools import groupby
 
 from dronemon.card import find_checkpoint, read_card
 from dronemon.errors import CameraError, MissionFileError, OptionError, PolicyError
-from dronemon.mission import Mission, MissionFile, find_mission, load_mission, mission_arena
+from dronemon.mission import (
+    Mission,
+    MissionFile,
+    find_mission,
+    load_mission,
+    mission_arena,
+    mission_obstacles,
+)
 from dronemon.mission.addresses import parse_udpin
 from dronemon.mission.checks import outbound_min, return_min, usable_min
 from dronemon.mission.document import Overrides, Problem
@@ -94,8 +101,8 @@ def _area_fact(m: Mission) -> str:
     width_m, height_m = au_m * arena.extent_au
     return (
         f"{1e-4 * au_m**2 * arena.field.area_au2:.1f} ha in {width_m:.0f} m by {height_m:.0f} m,"
-        f" {turned}; {len(arena.no_fly_au)} no-fly zones{_flown_over(m)}. The drone keeps"
-        f" {m.flight.clearance_m:.0f} m from them and the border:"
+        f" {turned}; {len(arena.no_fly_au)} no-fly zones{_flown_over(m)}{_hiding(m)}. The drone"
+        f" keeps {m.flight.clearance_m:.0f} m from them and the border:"
         f" {arena.free.area_au2 / arena.field.area_au2:.0%} is left to fly in"
     )
 
@@ -103,6 +110,14 @@ def _area_fact(m: Mission) -> str:
 def _flown_over(m: Mission) -> str:
     names = flown_over(m)
     return f", and {len(names)} that it flies over ({', '.join(names[:5])})" if names else ""
+
+
+def _hiding(m: Mission) -> str:
+    heights_m = [obstacle.height_m for obstacle in mission_obstacles(m)]
+    if not heights_m:
+        return ""
+    up_m = f"{min(heights_m):g} to {max(heights_m):g} m"
+    return f"; what stands in {len(heights_m)} zones, {up_m} high, hides the ground behind it"
 
 
 def flight_facts(m: Mission) -> dict[str, str]:

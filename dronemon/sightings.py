@@ -44,6 +44,24 @@ class Sight(NamedTuple):
     y_au: float
 
 
+def is_in_view(look: Measurement, places_au: FloatArray) -> BoolArray:
+    """Which places were looked at, so that a target not seen is not there. (..., 2) -> (...).
+
+    Its compiled twin is in `dronemon.planner.walking`.
+    """
+    away = np.asarray(places_au) - look.agent_au
+    away_au: FloatArray = np.hypot(away[..., 0], away[..., 1])
+    if look.hidden_au is None:
+        return away_au < look.view_au
+    share = np.arctan2(away[..., 1], away[..., 0]) / math.tau
+    count = len(look.hidden_au)
+    first_au, last_au = np.moveaxis(
+        look.hidden_au[np.floor(count * share).astype(int) % count], -1, 0
+    )
+    is_shown: BoolArray = (away_au < first_au) | (away_au > last_au)
+    return is_shown & (away_au < SENSOR_RADIUS_AU)
+
+
 class Sightings:
     """Grows by a measurement at a time; index i always means the same target.
 

@@ -140,6 +140,18 @@ class Detection:
     """Left, top, right and bottom of what was found, where the detector tells."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Obstacle:
+    """What stands on the ground and hides what is behind it: upright, and flat on top.
+
+    corners_au: (K, 2) float64 au in order, not closed
+    height_m:   above the ground
+    """
+
+    corners_au: FloatArray
+    height_m: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
     """What the binary sensor said about every target at one instant.
@@ -147,7 +159,11 @@ class Measurement:
     time_au: mission time; agent_au: (2,) agent's position; seen: (N,) bool; target_au: (N, 2)
     position of each target seen, NaN
     where it was not; view_au: radius about the agent in which a target that is not seen is not: the
-    sensor's, or less where a tilt takes ground out of the picture.
+    sensor's, or less where a tilt takes ground out of the picture, or something hides it.
+    hidden_au: (S, 2) the same by direction where things stand: from where to where, away from the
+    agent, ground may be out of view, in each of S even sectors, counterclockwise from that after
+    the x axis; both are the sensor's radius where all is in view; None where nothing stands.
+    `dronemon.sightings.is_in_view` reads both.
     Source: paper, equation 1.
     """
 
@@ -156,3 +172,4 @@ class Measurement:
     seen: BoolArray
     target_au: FloatArray
     view_au: float = SENSOR_RADIUS_AU
+    hidden_au: FloatArray | None = None

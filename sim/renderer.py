@@ -1,8 +1,4 @@
-"""What the downward camera would see of a scene.
-
-The projection is built here from a camera matrix and elementary rotations, on purpose without
-`dronemon.frames`: two independent derivations cannot share a sign error.
-"""
+"""What the downward camera would see of a scene."""
 
 from __future__ import annotations
 
@@ -13,21 +9,19 @@ import numpy as np
 
 from dronemon.frames import AreaFrame
 from dronemon.mission.schema import Simulation
-from dronemon.types import CameraModel, FloatArray, ImageArray, Pose
+from dronemon.types import CameraModel, FloatArray, ImageArray
 from sim.exposure import KIND, Exposure, smear
 from sim.ground_texture import TEXEL_M, TILE_M, draw_clouds, draw_ground, pyramid
+from sim.obstacles import draw_obstacles
 from sim.painting import SPRITE_PX_PER_M
 from sim.scene import Animal, Scene
 from sim.sprites import draw_sprites, stride_m
+from sim.view import MIN_HEIGHT_M, NEAREST, View
 
 _SHADOW_PER_M = (0.45, 0.40)
 """Shadow of a pole one metre high, to the north and to the east."""
 _SKY = (226, 206, 178)
 _TAPE = (168, 196, 206)
-_MIN_HEIGHT_M = 0.2
-_ANIMAL_REACH_M = 8.0
-_NEAREST = 0.05
-"""What is nearer along the optical axis than this part of the height is not drawn."""
 
 
 class Renderer:
@@ -45,11 +39,12 @@ class Renderer:
 
     def render(self, scene: Scene) -> ImageArray:
         """The picture of a scene. -> (height, width, 3) uint8 BGR"""
-        view = _View(self._camera, scene.pose, scene.frame.ground_down_m)
+        view = View(self._camera, scene.pose, scene.frame.ground_down_m)
         image = self._draw_ground(view)
         _draw_tape(image, view, scene.frame)
         for animal in scene.animals:
             self._draw_animal(image, view, animal)
+        draw_obstacles(image, view, scene)
         if self._clouds is not None:
             light = self._draw_tile(view, self._clouds, 0)
             image = np.asarray(cv2.multiply(image, cv2.merge([light] * 3), scale=1.0 / 255.0))
@@ -60,19 +55,19 @@ class Renderer:
     def _end_from_start(self, scene: Scene) -> FloatArray:
         """Where the ground of a picture is once the shutter closes, from where it was. -> (3, 3)"""
         start, end = (
-            _View(self._camera, scene.pose_after(time_s), scene.frame.ground_down_m)
+            View(self._camera, scene.pose_after(time_s), scene.frame.ground_down_m)
             for time_s in (-0.5 * self._shutter_s, 0.5 * self._shutter_s)
         )
         flown = np.eye(3)  # of ground points, which are seen from the vehicle
         flown[:2, 2] = np.subtract(start.north_east_m, end.north_east_m)
         return end.homography(0.0) @ flown @ np.linalg.inv(start.homography(0.0))
 
-    def _draw_ground(self, view: _View) -> ImageArray:
+    def _draw_ground(self, view: View) -> ImageArray:
         level = math.log2(1.0 / (view.px_per_m * TEXEL_M))
         level = min(max(round(level), 0), len(self._tiles) - 1)
         return self._draw_tile(view, self._tiles[level], level)
 
-    def _draw_tile(self, view: _View, tile: ImageArray, level: int) -> ImageArray:
+    def _draw_tile(self, view: View, tile: ImageArray, level: int) -> ImageArray:
         """What a tile that covers all ground looks like. level: how often it was halved"""
         texels_per_m = 1.0 / (TEXEL_M * 2**level)
         north_m, east_m = view.north_east_m
@@ -91,7 +86,7 @@ class Renderer:
             cv2.BORDER_WRAP,
         )
 
-    def _draw_animal(self, image: ImageArray, view: _View, animal: Animal) -> None:
+    def _draw_animal(self, image: ImageArray, view: View, animal: Animal) -> None:
         north_m, east_m = np.subtract(animal.position_ned_m, view.north_east_m)
         if not view.is_near(north_m, east_m, animal.up_m):
             return
@@ -108,57 +103,6 @@ class Renderer:
         _stamp(image, view, sprite.upper, at=at, height_m=up_m + height_m)
 
 
-class _View:
-    """The projection of one picture. Ground points are (north, east) in m from the vehicle."""
-
-    def __init__(self, camera: CameraModel, pose: Pose, ground_down_m: float) -> None:
-        focal_px = 0.5 * camera.width_px / math.tan(0.5 * camera.horizontal_fov_rad)
-        # Array indices: a pixel's index is that of its centre, half a pixel from its edge.
-        self._intrinsics = np.array(
-            [
-                [focal_px, 0.0, 0.5 * (camera.width_px - 1)],
-                [0.0, focal_px, 0.5 * (camera.height_px - 1)],
-                [0.0, 0.0, 1.0],
-            ]
-        )
-        roll, pitch, yaw = pose.attitude_rad
-        ned_from_body = _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
-        # The camera's x is the body's right, its y the body's back, its z the body's down.
-        body_from_camera = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        self._camera_from_ned = (ned_from_body @ body_from_camera).T
-        self._size_px = np.array([camera.width_px, camera.height_px])
-        self.north_east_m = pose.position_ned_m[:2]
-        self.height_m = max(ground_down_m - pose.position_ned_m[2], _MIN_HEIGHT_M)
-        self.px_per_m = focal_px / self.height_m
-
-    def homography(self, plane_height_m: float) -> FloatArray:
-        """-> (3, 3) from (north, east, 1) on a plane above the ground to (column, row, 1) depth."""
-        below = np.diag([1.0, 1.0, self.height_m - plane_height_m])
-        homography: FloatArray = self._intrinsics @ self._camera_from_ned @ below
-        return homography
-
-    def is_near(self, north_m: float, east_m: float, up_m: float) -> bool:
-        """Whether something of an animal's size there can show in the picture."""
-        point = self.homography(up_m) @ np.array([north_m, east_m, 1.0])
-        if point[2] < _NEAREST * self.height_m:
-            return False
-        margin_px = _ANIMAL_REACH_M * self.px_per_m * self.height_m / point[2]
-        pixel = point[:2] / point[2]
-        return bool(np.all((pixel > -margin_px) & (pixel < self._size_px + margin_px)))
-
-    def down_per_pixel(self) -> FloatArray:
-        """-> (3,) so that its product with (column, row, 1) is positive below the horizon."""
-        down: FloatArray = (self._camera_from_ned.T @ np.linalg.inv(self._intrinsics))[2]
-        return down
-
-
-def _turn(axis: int, angle_rad: float) -> FloatArray:
-    """Right-handed rotation about one axis. -> (3, 3)"""
-    vector = np.zeros(3)
-    vector[axis] = angle_rad
-    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
-
-
 def _warp(
     source: ImageArray, source_from_target: FloatArray, size: tuple[int, int], border: int
 ) -> ImageArray:
@@ -170,7 +114,7 @@ def _warp(
 
 def _stamp(
     image: ImageArray,
-    view: _View,
+    view: View,
     pyramid: tuple[ImageArray, ...],
     *,
     at: tuple[float, float, float],
@@ -182,13 +126,13 @@ def _stamp(
     pyramid: (rows, columns, 4) BGRA, premultiplied, at each half of the resolution before
     at:      north, east in m from the vehicle, heading in rad
     """
-    if view.height_m - height_m < _MIN_HEIGHT_M:
+    if view.height_m - height_m < MIN_HEIGHT_M:
         return
     rows, columns = pyramid[0].shape[:2]
     homography = view.homography(height_m) @ _ground_from_sprite(rows, columns, at)
     corners = np.array([[0, 0, 1], [columns, 0, 1], [columns, rows, 1], [0, rows, 1]])
     projected = (corners - [0.5, 0.5, 0.0]) @ homography.T
-    if projected[:, 2].min() < _NEAREST * view.height_m:
+    if projected[:, 2].min() < NEAREST * view.height_m:
         return  # at or behind the horizon
     points = projected[:, :2] / projected[:, 2:]
     left, top = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
@@ -229,13 +173,13 @@ def _ground_from_sprite(rows: int, columns: int, at: tuple[float, float, float])
     return moved
 
 
-def _draw_tape(image: ImageArray, view: _View, frame: AreaFrame) -> None:
+def _draw_tape(image: ImageArray, view: View, frame: AreaFrame) -> None:
     """The area's boundary, a pale tape on the ground."""
     corners_m = frame.au_to_ned(frame.arena.outline_au[:-1]) - view.north_east_m
     corners = np.column_stack([corners_m, np.ones(len(corners_m))])
     projected = corners @ view.homography(0.0).T
     thickness = max(1, round(0.12 * view.px_per_m))
-    nearest = _NEAREST * view.height_m
+    nearest = NEAREST * view.height_m
     for start, end in zip(projected, np.roll(projected, -1, axis=0), strict=True):
         if max(start[2], end[2]) <= nearest:
             continue
@@ -247,7 +191,7 @@ def _draw_tape(image: ImageArray, view: _View, frame: AreaFrame) -> None:
         cv2.line(image, ends[0], ends[1], _TAPE, thickness, cv2.LINE_AA, 4)
 
 
-def _draw_sky(image: ImageArray, view: _View) -> None:
+def _draw_sky(image: ImageArray, view: View) -> None:
     """Haze and sky over what is less than a few degrees below the horizon."""
     height, width = image.shape[:2]
     down = view.down_per_pixel()

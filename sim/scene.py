@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from dronemon.frames import AreaFrame
 from dronemon.problem import SENSOR_RADIUS_AU
-from dronemon.types import Pose, Vector3
+from dronemon.types import Obstacle, Pose, Vector3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +40,8 @@ class Scene:
     animals: tuple[Animal, ...]
     turn_rad_s: Vector3 = (0.0, 0.0, 0.0)
     """Rates of the angles of the pose's attitude."""
+    obstacles: tuple[tuple[Obstacle, float], ...] = ()
+    """What stands there, and how far its foot is above the ground below the camera."""
 
     def pose_after(self, time_s: float) -> Pose:
         """The pose a little later, or earlier."""

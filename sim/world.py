@@ -16,8 +16,14 @@ from typing import Self
 import numpy as np
 
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
-from dronemon.mission import Mission, field_centre, lay_frame, mission_arena
-from dronemon.types import FloatArray, Pose, Vector3
+from dronemon.mission import (
+    Mission,
+    field_centre,
+    lay_frame,
+    mission_arena,
+    mission_obstacles,
+)
+from dronemon.types import FloatArray, Obstacle, Pose, Vector3
 from dronemon.vision.heights import read_heights
 from dronemon.vision.terrain import Terrain
 from dronemon.world import Instance
@@ -37,6 +43,7 @@ class World:
         self._walking_s = walked_s
         self._pictured_s: float | None = None
         self._terrain: Terrain | None = None
+        self._obstacles = mission_obstacles(mission)
         simulated = mission.simulation
         self._paths = Instance.draw(
             simulated.seed,
@@ -107,8 +114,20 @@ class World:
                 self._mission.targets, places, headings, ups_m, strict=True
             )
         )
-        frame = replace(frame, ground_down_m=below_m)
-        return Scene(pose=pose, frame=frame, animals=animals, turn_rad_s=turn_rad_s)
+        return Scene(
+            pose=pose,
+            frame=replace(frame, ground_down_m=below_m),
+            animals=animals,
+            obstacles=tuple(
+                (obstacle, below_m - self._foot_down_m(obstacle, frame))
+                for obstacle in self._obstacles
+            ),
+            turn_rad_s=turn_rad_s,
+        )
+
+    def _foot_down_m(self, obstacle: Obstacle, frame: AreaFrame) -> float:
+        """Down coordinate of the highest ground below something."""
+        return float(self.ground_down_m(frame.au_to_ned(obstacle.corners_au), frame).min())
 
 
 def home_place(mission: Mission) -> GeoPoint:

@@ -21,6 +21,7 @@ from dronemon.frames import AreaFrame, GeoPoint
 from dronemon.mission import Mission, load_mission
 from dronemon.mission.schema import Target
 from dronemon.recorder import MISSION_FILE, RUN_FILES, RunFolder, RunRecorder
+from dronemon.runner.history import measurement_of
 from dronemon.types import Measurement, Pose
 
 NAMES = ("Bella", "Zuri")
@@ -93,6 +94,18 @@ def record_all(run: RunRecorder) -> None:
     run.take(noted("armed", "armed", 3.0, battery=np.float32(0.5), mode="OFFBOARD"))
     run.take(MEASURED)
     run.take(DECIDED)
+
+
+def test_what_things_hid_is_read_back_to_the_last_digit(tmp_path: Path) -> None:
+    """Or a decision would come out otherwise than it was flown."""
+    hidden_au = np.random.default_rng(0).random((72, 2))
+    for told in (None, hidden_au):
+        with create(tmp_path) as run:
+            look = replace(measurement(), hidden_au=told)
+            run.take(replace(MEASURED, measurement=look))
+        (line,) = RunFolder.open(run.folder.path).observations()
+        assert ("hidden_au" in line) == (told is not None)
+        np.testing.assert_equal(measurement_of(line, ["Bella", "Zuri"]).hidden_au, told)
 
 
 def test_everything_recorded_is_read_back(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, model_validator
 
 from dronemon.mission.section import Section
-from dronemon.outline import ring_in_degrees, ring_in_metres
+from dronemon.outline import check_heights, ring_in_degrees, ring_in_metres
 from dronemon.problem import SENSOR_RADIUS_AU
 
 _Metres = Annotated[float, Field(ge=-100_000.0, le=100_000.0)]
@@ -29,12 +29,16 @@ class NoFly(Section):
     polygon_m: PolygonM | None = None
     """Its corners in order, metres [east, north] each of what the area's count from."""
     below_m: float | None = Field(None, gt=0.0, le=500.0)
-    """Its height above the take-off, or the ground with follow_terrain; all the way if absent."""
+    """How far up it reaches, from the take-off, or the ground with follow_terrain; if absent as far
+    as height_m, else all the way."""
+    height_m: float | None = Field(None, gt=0.0, le=500.0)
+    """How far up from the ground something stands there, which hides what is behind it."""
 
     @model_validator(mode="after")
-    def _one_polygon(self) -> NoFly:
+    def _fits_together(self) -> NoFly:
         if (self.polygon_deg is None) == (self.polygon_m is None):
             raise ValueError("give polygon_deg or polygon_m, one of them")
+        check_heights(self.below_m, self.height_m)
         return self
 
 

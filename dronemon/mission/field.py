@@ -15,7 +15,7 @@ from dronemon.mission.area import Area
 from dronemon.mission.document import Problem
 from dronemon.mission.schema import Mission
 from dronemon.outline import Field, LaidZone, Outline, Ring, away_m, read_outline
-from dronemon.types import FloatArray
+from dronemon.types import FloatArray, Obstacle
 
 _MOST_CUT_OFF = 0.05
 """Share of what is free that may be cut off from the rest."""
@@ -48,7 +48,14 @@ def lay_field(area: Area, frame: AreaFrame, origin: GeoPoint) -> Field:
         else:
             assert zone.polygon_m is not None  # one of them is given
             corners_m = _from_centre(zone.polygon_m, frame)
-        zones.append(LaidZone(name=zone.name, corners_ned_m=corners_m, below_m=zone.below_m))
+        zones.append(
+            LaidZone(
+                name=zone.name,
+                corners_ned_m=corners_m,
+                below_m=zone.below_m,
+                height_m=zone.height_m,
+            )
+        )
     field = replace(field, no_fly=tuple(zones))
     if flaw := field.flaw():
         raise MissionFileError(flaw)
@@ -108,11 +115,25 @@ def flown_over(mission: Mission) -> list[str]:
     return [zone.name for zone in whole.no_fly if zone not in field.no_fly]
 
 
+def mission_obstacles(mission: Mission) -> tuple[Obstacle, ...]:
+    """What stands in and about the area, the same wherever home is. Raises MissionFileError."""
+    if mission.area.is_square:
+        return ()
+    frame, whole, _ = _laid(mission)
+    return tuple(
+        Obstacle(corners_au=frame.ned_to_au(zone.corners_ned_m), height_m=zone.height_m)
+        for zone in whole.no_fly
+        if zone.height_m is not None
+    )
+
+
 def _laid(mission: Mission) -> tuple[AreaFrame, Field, Field]:
     """The mission's frame around (0, 0); its field with all zones, and as it is at the patrol."""
     frame = _frame(mission, (0.0, 0.0), 0.0)
     origin = field_centre(mission.area) or GeoPoint.at((0.0, 0.0))
     whole = lay_field(mission.area, frame, origin)
+    if mission.area.terrain is not None and not mission.flight.follow_terrain:
+        _refuse_unsaid_tops(whole.no_fly)
     return frame, whole, whole.at(mission.flight.altitude_m - mission.flight.stand_off_m)
 
 
@@ -187,6 +208,16 @@ def _outline(area: Area) -> Outline | None:
     if area.polygon_deg is not None:
         return Outline(border_deg=area.polygon_deg, no_fly=())
     return None
+
+
+def _refuse_unsaid_tops(zones: Sequence[LaidZone]) -> None:
+    """Over hills a height above the ground does not say how far above the take-off it reaches."""
+    for zone in zones:
+        if zone.height_m is not None and zone.below_m is None:
+            raise MissionFileError(
+                f"no-fly {zone.name!r} has height_m, which counts from the ground, but no below_m,"
+                " which counts from the take-off: give both, or set flight.follow_terrain"
+            )
 
 
 def _from_centre(polygon_m: Sequence[tuple[float, float]], frame: AreaFrame) -> FloatArray:

@@ -1,6 +1,6 @@
 """A field's outline from users' files: KML, GeoJSON, QGroundControl's fence."""
 
-from dronemon.outline.feature import Ring
+from dronemon.outline.feature import Ring, check_heights
 from dronemon.outline.field import Field, LaidZone
 from dronemon.outline.outline import Outline, Zone
 from dronemon.outline.reading import read_outline
@@ -13,6 +13,7 @@ __all__ = [
     "Ring",
     "Zone",
     "away_m",
+    "check_heights",
     "circle_in_metres",
     "read_outline",
     "ring_in_degrees",

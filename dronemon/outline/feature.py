@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 NAMED_SO = re.compile(r"\s*no[\W_]?fly", re.IGNORECASE)
@@ -39,7 +39,8 @@ class Feature:
 
     label:    what errors call it
     name:     as the file has it, on one line; empty if it has none
-    below_m:  how far up it is no-fly; None: all the way
+    below_m:  how far up it is no-fly, where it says so
+    height_m: of what stands there, where it says so
     polygons: none of a point, a line and so on
     """
 
@@ -48,6 +49,7 @@ class Feature:
     is_no_fly: bool
     polygons: tuple[Polygon, ...]
     below_m: float | None = None
+    height_m: float | None = None
 
 
 def plain_name(given: object) -> str:
@@ -58,8 +60,26 @@ def plain_name(given: object) -> str:
     return "".join(c for c in " ".join(text.split()) if c.isprintable())[:_LONGEST_NAME]
 
 
-def top_m(mark: object) -> float | None:
-    """A feature's property `below_m`, if it has one. Raises Flaw."""
+def heights_m(read: Callable[[str], object]) -> tuple[float | None, float | None]:
+    """A feature's properties `below_m` and `height_m`, if it has them. Raises Flaw.
+
+    read: gives its property of a name, None where it has none
+    """
+    below_m, height_m = (_metres(name, read(name)) for name in ("below_m", "height_m"))
+    check_heights(below_m, height_m)
+    return below_m, height_m
+
+
+def check_heights(below_m: float | None, height_m: float | None) -> None:
+    """Refuse a zone out of which something stands. Raises Flaw."""
+    if below_m is not None and height_m is not None and height_m > below_m:
+        raise Flaw(
+            f"height_m {height_m:g} is more than below_m {below_m:g}: what stands there would reach"
+            " out of the zone; raise below_m, or leave it out"
+        )
+
+
+def _metres(name: str, mark: object) -> float | None:
     if mark is None:
         return None
     try:
@@ -67,7 +87,7 @@ def top_m(mark: object) -> float | None:
     except ValueError:
         height_m = math.nan
     if isinstance(mark, bool) or not 0.0 < height_m <= _HIGHEST_M:
-        raise Flaw(f"below_m is {str(mark)[:_LONGEST_NAME]!r}, not a height up to {_HIGHEST_M:g} m")
+        raise Flaw(f"{name} is {str(mark)[:_LONGEST_NAME]!r}, not a height up to {_HIGHEST_M:g} m")
     return height_m
 
 

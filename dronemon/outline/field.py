@@ -16,12 +16,19 @@ class LaidZone:
     """A no-fly zone.
 
     corners_ned_m: (K, 2) float64 north, east in m, in order, not closed
-    below_m:       how far up it reaches; None: all the way
+    below_m:       how far up it reaches, where that is said
+    height_m:      of what stands there, above the ground; None: nothing
     """
 
     name: str
     corners_ned_m: FloatArray
     below_m: float | None = None
+    height_m: float | None = None
+
+    @property
+    def top_m(self) -> float | None:
+        """How far up it reaches: as far as what stands there unless it says; None: all the way."""
+        return self.height_m if self.below_m is None else self.below_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,7 +44,7 @@ class Field:
 
     def at(self, height_m: float) -> Field:
         """The field at a height: without the zones that do not reach up to it."""
-        binding = (z for z in self.no_fly if z.below_m is None or height_m < z.below_m)
+        binding = (z for z in self.no_fly if z.top_m is None or height_m < z.top_m)
         return replace(self, no_fly=tuple(binding))
 
     def flaw(self) -> str | None:
@@ -47,7 +54,7 @@ class Field:
         for name, shape in [("the field", border), *((repr(z.name), s) for z, s in shapes)]:
             if not shape.is_valid:
                 return f"{name} crosses or touches itself; redraw it"
-        always = [(repr(zone.name), shape) for zone, shape in shapes if zone.below_m is None]
+        always = [(repr(zone.name), shape) for zone, shape in shapes if zone.top_m is None]
         if border.difference(shapely.union_all([shape for _, shape in always])).area >= _LEAST_M2:
             return None
         alone = [name for name, shape in always if border.difference(shape).area < _LEAST_M2]

@@ -6,7 +6,15 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from dronemon.outline.feature import Feature, Flaw, Polygon, blamed_on, is_no_fly, plain_name, top_m
+from dronemon.outline.feature import (
+    Feature,
+    Flaw,
+    Polygon,
+    blamed_on,
+    heights_m,
+    is_no_fly,
+    plain_name,
+)
 from dronemon.outline.json_file import listed, mapped, numbers, parse_json
 from dronemon.outline.rings import polygon_in_degrees
 
@@ -38,12 +46,14 @@ def _feature(number: int, entry: object) -> Feature:
         name = plain_name(properties.get("name"))
     label = f"feature {number}, {name!r}" if name else f"feature {number}"
     with blamed_on(label):
+        below_m, height_m = heights_m(properties.get)
         return Feature(
             label=label,
             name=name,
             is_no_fly=is_no_fly(name, properties.get("no_fly")),
             polygons=tuple(_polygons(feature.get("geometry"))),
-            below_m=top_m(properties.get("below_m")),
+            below_m=below_m,
+            height_m=height_m,
         )
 
 

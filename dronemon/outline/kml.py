@@ -6,12 +6,21 @@ Source: OGC KML 2.2.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from xml.etree.ElementTree import Element
 
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, fromstring
 
-from dronemon.outline.feature import Feature, Flaw, Polygon, blamed_on, is_no_fly, plain_name, top_m
+from dronemon.outline.feature import (
+    Feature,
+    Flaw,
+    Polygon,
+    blamed_on,
+    heights_m,
+    is_no_fly,
+    plain_name,
+)
 from dronemon.outline.rings import polygon_in_degrees
 
 _ON_THE_GROUND = {"clampToGround", "clampToSeaFloor"}
@@ -37,12 +46,14 @@ def _feature(number: int, mark: Element) -> Feature:
     name = plain_name(_text(mark, "name"))
     label = f"Placemark {number}, {name!r}" if name else f"Placemark {number}"
     with blamed_on(label):
+        below_m, height_m = heights_m(partial(_property, mark))
         return Feature(
             label=label,
             name=name,
             is_no_fly=is_no_fly(name, _property(mark, "no_fly")),
             polygons=tuple(map(_polygon, _all(mark, "Polygon"))),
-            below_m=top_m(_property(mark, "below_m")),
+            below_m=below_m,
+            height_m=height_m,
         )
 
 

@@ -16,12 +16,14 @@ class Zone:
     """A no-fly zone.
 
     corners_deg: latitude and longitude of each in order, not closed
-    below_m:     how far up it reaches; None: all the way
+    below_m:     how far up it reaches, where that is said: see `LaidZone`
+    height_m:    of what stands there; None: nothing
     """
 
     name: str
     corners_deg: Ring
     below_m: float | None = None
+    height_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +46,7 @@ class Outline:
                     name=zone.name,
                     corners_ned_m=degrees_to_ned(np.array(zone.corners_deg), origin)[:, :2],
                     below_m=zone.below_m,
+                    height_m=zone.height_m,
                 )
                 for zone in self.no_fly
             ),

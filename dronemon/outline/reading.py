@@ -108,7 +108,7 @@ def _zones_of(feature: Feature) -> Iterator[Zone]:
     for number, (ring, *_) in enumerate(feature.polygons, start=1):
         is_only = len(feature.polygons) == 1 or not feature.name
         name = feature.name if is_only else f"{feature.name} {number}"
-        yield Zone(name=name, corners_deg=ring, below_m=feature.below_m)
+        yield Zone(name=name, corners_deg=ring, below_m=feature.below_m, height_m=feature.height_m)
 
 
 def _named(zones: list[Zone], near: tuple[float, float]) -> Iterator[Zone]:

@@ -7,7 +7,7 @@ import numpy as np
 from dronemon.planner import walking
 from dronemon.planner.moving import Walls
 from dronemon.planner.settings import MotionSettings
-from dronemon.planner.walking import CURVATURE, KIND, X, Y
+from dronemon.planner.walking import CURVATURE, KIND, Stops, X, Y
 from dronemon.sensor import Sensor
 from dronemon.types import FloatArray, IntArray
 
@@ -65,13 +65,12 @@ class KindBelief:
             walkers[kinds == k, CURVATURE] = curvature
 
     def observe(
-        self, deck: FloatArray, stops: FloatArray, trail_au: FloatArray, walked_au: float
+        self, deck: FloatArray, stops: Stops, trail_au: FloatArray, walked_au: float
     ) -> None:
         """Take two sights of a target in a row: how many walks from one come to the other?
 
         deck:      (M, NUM_ROWS) its particles at the first sight
-        stops:     (S, 4)        time, x, y and view of that sight, of every miss since, of the new
-                                 sight
+        stops:     that sight, every miss since, and the new sight
         trail_au:  (P, 2)        where it was seen of old
         walked_au: way that it went meanwhile
         """
@@ -83,7 +82,7 @@ class KindBelief:
         )
         width = self._motion.closeness_au + 2.0 * self._sensor.position_au
         width += self._motion.closeness_share * walked_au
-        now_au = stops[-1, 1:3]
+        now_au = stops.looks[-1, 1:3]
         squared = (walkers[:, X] - now_au[0]) ** 2 + (walkers[:, Y] - now_au[1]) ** 2
         closeness = np.exp(-0.5 * squared / width**2)
         radius_au = self._motion.trail_radius_au

@@ -22,7 +22,7 @@ from dronemon.planner.kinds import KindBelief
 from dronemon.planner.moving import Walls
 from dronemon.planner.settings import MotionSettings
 from dronemon.planner.speeds import SpeedBelief
-from dronemon.planner.walking import CURVATURE, HEADING, RESTING, SPEED, X, Y
+from dronemon.planner.walking import CURVATURE, HEADING, RESTING, SPEED, Stops, X, Y
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sensor import PERFECT, Sensor
 from dronemon.sightings import Sight, Sightings
@@ -43,13 +43,20 @@ _FEW = 0.15
 """Share of surviving particles below which lost ones are walked anew instead of copied."""
 
 
+_NOTHING_HIDES = np.empty((0, 2))
+
+
 class _Miss(NamedTuple):
-    """When and where the agent did not see a target, and how far about it was looked at."""
+    """When and where the agent did not see a target, and what about it was looked at.
+
+    view_au, hidden_au: as a `Measurement` has them
+    """
 
     time_au: float
     x_au: float
     y_au: float
     view_au: float
+    hidden_au: FloatArray | None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -310,6 +317,7 @@ class ParticleBelief:
             target.walkers,
             look.agent_au,
             look.view_au,
+            _NOTHING_HIDES if look.hidden_au is None else look.hidden_au,
             self._old_trail(target),
             motion.trail_radius_au,
             self.kinds.table,
@@ -330,7 +338,7 @@ class ParticleBelief:
         first = max(0, self._num_learned - _MOST_MISSES)
         recent = sightings.since(first)[: self._num_learned - first]
         misses = [
-            _Miss(m.time_au, float(m.agent_au[0]), float(m.agent_au[1]), m.view_au)
+            _Miss(m.time_au, float(m.agent_au[0]), float(m.agent_au[1]), m.view_au, m.hidden_au)
             for m in recent
             if m.time_au > sight.time_au + 1e-9
         ]
@@ -365,9 +373,19 @@ class ParticleBelief:
             target.walkers[lost] = self._begin(index, np.full(2, np.nan)).walkers[lost]
 
 
-def _stops(*stops: Sight | _Miss) -> FloatArray:
-    """As walks take them. -> (S, 4) time, x, y and view in au, no view of a sight."""
-    return np.array([(*stop, 0.0)[:4] for stop in stops], dtype=np.float64)
+def _stops(*stops: Sight | _Miss) -> Stops:
+    """As walks take them."""
+    looks = np.array([(*stop, 0.0)[:4] for stop in stops], dtype=np.float64)
+    told = {
+        row: stop.hidden_au
+        for row, stop in enumerate(stops)
+        if isinstance(stop, _Miss) and stop.hidden_au is not None
+    }
+    hidden = np.full((len(stops), max(map(len, told.values()), default=0), 2), SENSOR_RADIUS_AU)
+    hidden[..., 0] = looks[:, 3:]
+    for row, hidden_au in told.items():
+        hidden[row] = hidden_au
+    return Stops(looks, hidden)
 
 
 def _heading_base(before: Iterable[Sight], now: Sight, blur_au: float) -> Sight | None:

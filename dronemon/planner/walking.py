@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from dronemon.planner.moving import is_inside
+from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import FloatArray
 
 X, Y, HEADING, SPEED, KIND, CURVATURE, RESTING = range(7)
@@ -58,6 +60,17 @@ KINDS = (
     Kind(name="circle", curvature=(2.5, 20.0), wander_rad=0.3),
     Kind(name="graze", wander_rad=4.0, rests_per_au=7.0),
 )
+
+
+class Stops(NamedTuple):
+    """When a target was seen, and where the agent did not see it, one after the other.
+
+    looks:  (L, 4)    time, x, y and view of each in au, no view of a sight
+    hidden: (L, S, 2) as `Measurement.hidden_au`, of a sight anything; S is 0 where nothing stands
+    """
+
+    looks: FloatArray
+    hidden: FloatArray
 
 
 def table_of(kinds: tuple[Kind, ...]) -> FloatArray:
@@ -128,17 +141,31 @@ def doubts(walkers, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def refuted(walkers, agent, view, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
+def is_in_view(x, y, agent_x, agent_y, view, hidden):  # type: ignore[no-untyped-def]
+    """Whether a place was looked at: the compiled twin of `dronemon.sightings.is_in_view`."""
+    squared = (x - agent_x) ** 2 + (y - agent_y) ** 2
+    if hidden.shape[0] == 0:
+        return squared < view**2
+    if squared >= SENSOR_RADIUS_AU**2:
+        return False
+    share = math.atan2(y - agent_y, x - agent_x) / math.tau
+    sector = math.floor(hidden.shape[0] * share) % hidden.shape[0]
+    away = math.sqrt(squared)
+    return away < hidden[sector, 0] or away > hidden[sector, 1]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def refuted(walkers, agent, view, hidden, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
     """Particles that a miss removes: in view, or (perhaps) on the target's own trail. -> (L,).
 
-    view: radius about the agent that was looked at
-    miss: chance that the eye misses what is in view
+    view, hidden: what was looked at about the agent, as `Stops` has it
+    miss:         chance that the eye misses what is in view
     """
     out = np.empty(walkers.shape[0], np.int64)
     count = 0
     for j in range(walkers.shape[0]):
         x, y = walkers[j, X], walkers[j, Y]
-        gone = (x - agent[0]) ** 2 + (y - agent[1]) ** 2 < view**2
+        gone = is_in_view(x, y, agent[0], agent[1], view, hidden)
         if gone and miss > 0.0:
             gone = rng.random() >= miss
         if not gone:
@@ -151,14 +178,15 @@ def refuted(walkers, agent, view, old_trail, trail_radius, kinds, miss, rng):  #
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _outlives(walker, misses, count, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
-    """Walk one particle on, in place, over misses; whether none of the first `count` refutes it."""
-    for m in range(1, misses.shape[0]):
-        _step(walker, misses[m, 0] - misses[m - 1, 0], kinds, walls, rng)
+def _outlives(walker, stops, count, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
+    """Walk one particle on, in place, over stops; whether none of the first `count` refutes it."""
+    looks, hidden = stops.looks, stops.hidden
+    for m in range(1, looks.shape[0]):
+        _, x, y, view = looks[m]
+        _step(walker, looks[m, 0] - looks[m - 1, 0], kinds, walls, rng)
         if (
             m < count
-            and (walker[X] - misses[m, 1]) ** 2 + (walker[Y] - misses[m, 2]) ** 2
-            < misses[m, 3] ** 2
+            and is_in_view(walker[X], walker[Y], x, y, view, hidden[m])
             and not (miss > 0.0 and rng.random() < miss)
         ):
             return False
@@ -166,13 +194,13 @@ def _outlives(walker, misses, count, kinds, walls, miss, rng):  # type: ignore[n
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def walk_anew(walkers, lost, deck, misses, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
+def walk_anew(walkers, lost, deck, stops, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
     """Replace particles by walks from the last sighting that no miss since refutes. -> how many.
 
-    lost:   (L,)          int64 their indices
-    deck:   (M, NUM_ROWS) the particles as they were at the last sighting
-    misses: (S + 1, 4)    time, x, y and view of the sighting and of every miss since
-    miss:   chance that the eye misses what is in view
+    lost:  (L,)          int64 their indices
+    deck:  (M, NUM_ROWS) the particles as they were at the last sighting
+    stops: that sighting and every miss since
+    miss:  chance that the eye misses what is in view
     """
     done = 0
     walker = np.empty(NUM_ROWS)
@@ -182,7 +210,7 @@ def walk_anew(walkers, lost, deck, misses, kinds, walls, miss, rng):  # type: ig
         card = int(rng.random() * deck.shape[0])
         for r in range(NUM_ROWS):
             walker[r] = deck[card, r]
-        if _outlives(walker, misses, misses.shape[0], kinds, walls, miss, rng):
+        if _outlives(walker, stops, stops.looks.shape[0], kinds, walls, miss, rng):
             for r in range(NUM_ROWS):
                 walkers[lost[done], r] = walker[r]
             done += 1
@@ -194,10 +222,9 @@ def outlived(walkers, stops, kinds, walls, miss, rng):  # type: ignore[no-untype
     """Walk particles on, in place, from one sight to the next. -> which no miss refutes, (M,)
 
     walkers: (M, NUM_ROWS) as they were at the first
-    stops:   (S, 4)        time, x, y and view of the first sight, of every miss since, and of the
-                           second
+    stops:   the first sight, every miss since, and the second
     """
     out = np.empty(walkers.shape[0], np.bool_)
     for j in range(walkers.shape[0]):
-        out[j] = _outlives(walkers[j], stops, stops.shape[0] - 1, kinds, walls, miss, rng)
+        out[j] = _outlives(walkers[j], stops, stops.looks.shape[0] - 1, kinds, walls, miss, rng)
     return out

@@ -200,6 +200,7 @@ class RunRecorder:
             "time_au": measurement.time_au,
             "agent_au": measurement.agent_au,
             "view_au": measurement.view_au,
+            **({} if measurement.hidden_au is None else {"hidden_au": measurement.hidden_au}),
             "battery": event.battery,
             "battery_needed": event.battery_needed,
             "stretch": asdict(event.stretch),

@@ -18,6 +18,7 @@ from dronemon.recorder import RunFolder
 from dronemon.runner.history import Laid, recorded, understanding
 from dronemon.runner.preparation import make_belief
 from dronemon.runner.watch import Watched, watch
+from dronemon.sightings import is_in_view
 from dronemon.types import FloatArray, Measurement
 
 GRID_SIZE = 60
@@ -166,7 +167,7 @@ def _unseen_for_au(measurements: Sequence[Measurement], arena: Arena) -> FloatAr
     grid_au = arena.grid(GRID_SIZE)
     looked_at_au = np.full(len(grid_au), -np.inf)
     for look in measurements:
-        looked_at_au[np.hypot(*(grid_au - look.agent_au).T) < look.view_au] = look.time_au
+        looked_at_au[is_in_view(look, grid_au)] = look.time_au
     since_au = measurements[-1].time_au - looked_at_au
     unseen_for_au: FloatArray = since_au.reshape(GRID_SIZE, GRID_SIZE).T
     return unseen_for_au

@@ -18,6 +18,7 @@ from dronemon.vision.detector import Detector, look
 from dronemon.vision.ground_error import ground_covariance, radius_m
 from dronemon.vision.observe import observe
 from dronemon.vision.owners import NOBODY, Owners
+from dronemon.vision.project import shown_radius_m
 from dronemon.vision.surface import Surface, down_below_m
 
 
@@ -84,7 +85,8 @@ class Eyes:
             sightings=self.belief.sightings,
             time_au=self._frame.s_to_au(picture.time_s - start_s),
         )
-        self._check_view(measurement)
+        if not measurement.seen.any():
+            self._check_view(pose)
         score = np.full(len(self._names), np.nan)
         pixels_px = np.full((len(self._names), 2), np.nan)
         for found, target in zip(detections, owners, strict=True):
@@ -99,13 +101,16 @@ class Eyes:
             measurement=measurement,
         )
 
-    def _check_view(self, measurement: Measurement) -> None:
-        if measurement.view_au < LEAST_VIEW_AU and not measurement.seen.any():
-            side_m = self._frame.side_m
+    def _check_view(self, pose: Pose) -> None:
+        """Raise where it is the camera that shows too little, not what stands in the way."""
+        ground_down_m = down_below_m(self._surface, pose)
+        shown_m = shown_radius_m(self._mission.camera.model, pose, ground_down_m)
+        needed_m = LEAST_VIEW_AU * self._frame.side_m
+        if shown_m < needed_m:
             raise CameraError(
-                f"shows {measurement.view_au * side_m:.0f} m of ground to all sides of the drone, "
-                f"and {LEAST_VIEW_AU * side_m:.0f} m are needed to say that no target is there; is "
-                "it too low, or the camera turned away?"
+                f"shows {shown_m:.0f} m of ground to all sides of the drone, and {needed_m:.0f} m"
+                " are needed to say that no target is there; is it too low, or the camera turned"
+                " away?"
             )
 
     def tell(

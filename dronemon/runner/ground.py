@@ -15,7 +15,7 @@ from dronemon.roadmap import Roadmap
 from dronemon.runner.inspection import fence_around, lay_area
 from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.profile import Profile
-from dronemon.runner.relief import profile_over, surface_of
+from dronemon.runner.relief import ground_of, profile_over
 from dronemon.vehicle.changes import Changes
 from dronemon.vehicle.fence_items import FenceItem, are_alike, polygon_items
 
@@ -81,17 +81,17 @@ class Ground:
         state = self._link.state
         assert state.home is not None  # wait_ready waited for both
         assert state.origin is not None
-        surface = surface_of(self._mission, frame, state.home, state.origin)
+        ground = ground_of(self._mission, frame, state.home, state.origin)
         if self._mission.flight.follow_terrain and not self._is_attached:
             *here_m, down_m = self._link.pose.position_ned_m
-            up_m = float(surface.down_m(np.array(here_m))) - down_m
+            up_m = float(ground.down_m(np.array(here_m))) - down_m
             if not abs(up_m) <= _HEIGHT_DOUBT_M:
                 raise VehicleError(
                     f"by what the vehicle says of its height, it stands {up_m:+.0f} m above the"
                     " ground of area.terrain: hills are not where they seem; take off from where"
                     " this run began, or begin another"
                 )
-        return profile_over(surface, self._mission, frame, state.origin)
+        return profile_over(ground, self._mission, frame, state.origin)
 
     async def lay_fence(self, frame: AreaFrame) -> Fence:
         """Have the vehicle keep the fence that the guard keeps, or in the air see that it does."""

@@ -249,12 +249,14 @@ def measurement_of(line: Mapping[str, Any], names: Sequence[str]) -> Measurement
     """What a line of observations says of the targets of these names."""
     targets = [line["targets"][name] for name in names]
     places = [target["position_au"] or (np.nan, np.nan) for target in targets]
+    hidden_au = line.get("hidden_au")  # where nothing stands none is said
     return Measurement(
         time_au=line["time_au"],
         agent_au=np.array(line["agent_au"]),
         seen=np.array([target["seen"] for target in targets], dtype=np.bool_),
         target_au=np.array(places, dtype=np.float64),
         view_au=line.get("view_au", SENSOR_RADIUS_AU),  # earlier versions did not say
+        hidden_au=None if hidden_au is None else np.array(hidden_au, np.float64).reshape(-1, 2),
     )
 
 

@@ -9,10 +9,11 @@ from scipy.spatial import ConvexHull
 
 from dronemon.errors import MissionFileError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
-from dronemon.mission import Mission
+from dronemon.mission import Mission, mission_obstacles
 from dronemon.preflight import Relief
 from dronemon.runner.profile import Profile
 from dronemon.types import FloatArray
+from dronemon.vision.built_up import BuiltUp
 from dronemon.vision.envelope import Envelope
 from dronemon.vision.heights import HeightGrid, read_heights
 from dronemon.vision.surface import Plane, Surface
@@ -24,7 +25,15 @@ _MOST_LOOKS = 500
 
 
 def surface_of(mission: Mission, frame: AreaFrame, home: GeoPoint, origin: GeoPoint) -> Surface:
-    """The ground of a flight. Raises MissionFileError for a terrain that does not cover it.
+    """The ground of a flight, and what stands on it. Raises as `ground_of`."""
+    ground, obstacles = ground_of(mission, frame, home, origin), mission_obstacles(mission)
+    return BuiltUp(ground, frame, obstacles) if obstacles else ground
+
+
+def ground_of(
+    mission: Mission, frame: AreaFrame, home: GeoPoint, origin: GeoPoint
+) -> Plane | Terrain:
+    """The same without it. Raises MissionFileError for a terrain that does not cover the flight.
 
     origin: of the frame
     """
@@ -34,13 +43,15 @@ def surface_of(mission: Mission, frame: AreaFrame, home: GeoPoint, origin: GeoPo
     return terrain
 
 
-def profile_over(surface: Surface, mission: Mission, frame: AreaFrame, origin: GeoPoint) -> Profile:
-    """How high the patrol is over each place of a ground from `surface_of`; origin: as there."""
+def profile_over(
+    ground: Plane | Terrain, mission: Mission, frame: AreaFrame, origin: GeoPoint
+) -> Profile:
+    """How high the patrol is over each place of a ground from `ground_of`; origin: as there."""
     path, flight = mission.area.terrain, mission.flight
-    if not (flight.follow_terrain and path and isinstance(surface, Terrain)):
+    if not (flight.follow_terrain and path and isinstance(ground, Terrain)):
         return Profile(Plane(frame.ground_down_m), flight.altitude_m)
     grid = _enveloped(path, flight.steepest)
-    return Profile(Envelope(grid, origin, surface.level_down_m), flight.altitude_m)
+    return Profile(Envelope(grid, origin, ground.level_down_m), flight.altitude_m)
 
 
 @cache

@@ -35,7 +35,8 @@ _SAME_S = 1e-6
 class Flown:
     """How the patrol was flown; None where there is nothing to measure.
 
-    pictures_cut: those that a tilt kept from showing all of the sensor's circle.
+    pictures_cut: those that a tilt, or what stands there, kept from showing all of the sensor's
+    circle.
     picture_spacing_error: median share by which two pictures are apart more or less than 0.1 au.
     watched: how, of each target by its name.
     """
@@ -247,7 +248,7 @@ def how_flown(values: Mapping[str, Any]) -> dict[str, str]:
     show("cross-track error p95", "{:.1f} m ({:.3f} au)", "cross_track_p95_m", "cross_track_p95_au")
     show("pictures", "{} of {}, {:.2f} m apart", "pictures", "pictures_due", "picture_spacing_m")
     if values.get("pictures_cut"):
-        show("pictures cut by a tilt", "{}", "pictures_cut")
+        show("pictures cut", "{}", "pictures_cut")
     show("decisions", "{}, p99 {:.1f} ms", "decisions", "decision_p99_ms")
     return table | kept_in_words(values.get("kept_off", {}))
 

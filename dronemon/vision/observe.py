@@ -9,7 +9,7 @@ import numpy as np
 from dronemon.frames import AreaFrame
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
-from dronemon.types import CameraModel, Detection, Measurement, Pose
+from dronemon.types import CameraModel, Detection, FloatArray, Measurement, Pose
 from dronemon.vision.owners import NOBODY, Owners
 from dronemon.vision.project import shown_radius_m
 from dronemon.vision.surface import Surface, down_below_m
@@ -30,7 +30,8 @@ def observe(
 
     A target is seen if it was found less than SENSOR_RADIUS_AU from the vehicle, over ground; what
     the picture shows beyond does not count. Where a tilt turns some of that out of the picture, it
-    counts as looked at only as far as the picture shows it to all sides.
+    counts as looked at only as far as the picture shows it to all sides, and where things stand
+    only as far as none of them hides it.
     sightings: what was seen before
     Source: paper, equation 1.
     """
@@ -54,11 +55,25 @@ def observe(
         if target != NOBODY:
             whose[find], seen[target], target_au[target] = target, True, places_au[find]
     shown_au = shown_radius_m(camera, pose, down_below_m(surface, pose)) / frame.side_m
+    view_au = min(shown_au, SENSOR_RADIUS_AU)
+    hidden_au = surface.hidden_au(pose)
+    if hidden_au is not None:
+        hidden_au = _cut(hidden_au, view_au)
+        view_au = float(hidden_au[:, 0].min())
     measurement = Measurement(
         time_au=time_au,
         agent_au=agent_au,
         seen=seen,
         target_au=target_au,
-        view_au=min(shown_au, SENSOR_RADIUS_AU),
+        view_au=view_au,
+        hidden_au=hidden_au,
     )
     return measurement, whose
+
+
+def _cut(hidden_au: FloatArray, view_au: float) -> FloatArray:
+    """The same of a picture that shows ground no farther than that: beyond, none is in view."""
+    if view_au >= SENSOR_RADIUS_AU:
+        return hidden_au
+    first_au = np.minimum(hidden_au[:, 0], view_au)
+    return np.stack([first_au, np.full_like(first_au, SENSOR_RADIUS_AU)], axis=-1)

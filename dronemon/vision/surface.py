@@ -27,6 +27,9 @@ class Surface(Protocol):
     def slope(self, place_ned_m: FloatArray) -> FloatArray:
         """How steeply it goes down. place_ned_m: (..., 2) -> (..., 2) m per m north and east."""
 
+    def hidden_au(self, pose: Pose) -> FloatArray | None:
+        """What things that stand on it hide from a camera, as `Measurement.hidden_au` has it."""
+
 
 def down_below_m(surface: Surface, pose: Pose) -> float:
     """Down coordinate of the ground below a vehicle. Raises CameraError where it is not known."""
@@ -57,3 +60,7 @@ class Plane:
     def slope(self, place_ned_m: FloatArray) -> FloatArray:
         """See `Surface`."""
         return np.zeros(np.shape(place_ned_m))
+
+    def hidden_au(self, _: Pose) -> FloatArray | None:
+        """See `Surface`: nothing stands on it."""
+        return None

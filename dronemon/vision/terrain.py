@@ -51,6 +51,10 @@ class Terrain:
         )
         return np.nan_to_num((ahead - behind) / (2.0 * _SLOPE_STEP_M))  # flat at the grid's edge
 
+    def hidden_au(self, _: Pose) -> FloatArray | None:
+        """See `Surface`: nothing stands on it."""
+        return None
+
     def places(self, pixel_px: FloatArray, camera: CameraModel, pose: Pose) -> FloatArray:
         """See `Surface`: steps of half a cell at most find the first cut, halvings its place."""
         ray = pixel_to_ray(pixel_px, camera, pose.attitude_rad)

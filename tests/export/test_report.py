@@ -125,6 +125,10 @@ def test_what_a_tilted_picture_did_not_show_was_not_looked_at(flown: Path, tmp_p
     whole = read_flight(RunFolder.open(flown)).share_looked_at()
     assert share(lambda line: line.pop("view_au")) == whole
     assert share(lambda line: line.update(view_au=0.05)) < 0.7 * whole
+    west = [[0.1, 0.1]] * 18 + [[0.0, 0.1]] * 36 + [[0.1, 0.1]] * 18
+    assert share(lambda line: line.update(view_au=0.0, hidden_au=west)) < 0.9 * whole
+    clear = [[0.1, 0.1]] * 72
+    assert share(lambda line: line.update(view_au=0.0, hidden_au=clear)) == whole
 
 
 def round_to_grid(place_au: np.ndarray) -> tuple[int, ...]:

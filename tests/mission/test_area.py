@@ -13,7 +13,13 @@ import shapely
 from dronemon.errors import MissionFileError
 from dronemon.feasibility import flight_facts, load_checked
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
-from dronemon.mission import Mission, MissionFile, load_mission, mission_arena
+from dronemon.mission import (
+    Mission,
+    MissionFile,
+    load_mission,
+    mission_arena,
+    mission_obstacles,
+)
 from dronemon.mission.field import flown_over, lay_field
 from dronemon.outline import Field, read_outline
 from dronemon.runner.inspection import lay_area
@@ -95,6 +101,39 @@ def test_a_zone_of_some_height_is_flown_over_from_well_above_it(
     assert ("1 no-fly zones, and 1 that it flies over (hut)." in told) == is_over
 
 
+def test_trees_are_flown_over_and_hide_the_ground(load):
+    """Of a height alone a zone reaches as far up as they do, 35 m below the flight at 45 m."""
+    wood, shed = (
+        f"{{name: {name}, height_m: {height_m}, polygon_m: {corners}}}"
+        for name, height_m, corners in (
+            ("wood", 35, "[[-20, -20], [20, -20], [20, 20]]"),
+            ("shed", 36, "[[50, 50], [60, 50], [60, 60]]"),
+        )
+    )
+    mission = load(
+        f"no_fly: [{wood}, {{name: pond, polygon_m: [[0, 60], [9, 60], [9, 69]]}}, {shed}]"
+    )
+    assert flown_over(mission) == ["wood"]
+    assert len(mission_arena(mission).no_fly_au) == 2
+    obstacles = mission_obstacles(mission)
+    assert [obstacle.height_m for obstacle in obstacles] == [35.0, 36.0]
+    np.testing.assert_allclose(obstacles[0].corners_au, [[0.4, 0.4], [0.6, 0.4], [0.6, 0.6]])
+    told = flight_facts(mission)["area"]
+    assert "what stands in 2 zones, 35 to 36 m high, hides the ground behind it" in told
+    assert mission_obstacles(load("")) == ()
+    pond = load("no_fly: [{name: pond, polygon_m: [[0, 60], [9, 60], [9, 69]]}]")
+    assert "stands" not in flight_facts(pond)["area"]
+
+
+def test_over_hills_a_height_above_the_ground_does_not_say_how_far_up_a_zone_reaches(load):
+    """Trees on a hill would be flown into by a flight that is 10 m above their height."""
+    wood = "name: wood, height_m: 12, polygon_m: [[-20, -20], [20, -20], [20, 20]]"
+    area = "terrain: hills.asc, no_fly: [{%s}]"
+    with pytest.raises(MissionFileError, match=r"'wood' has height_m.*no below_m.*give both"):
+        mission_arena(load(area % wood))
+    assert mission_arena(load(area % f"{wood}, below_m: 30")).no_fly_au == ()
+
+
 def test_a_zone_that_covers_all_may_be_flown_over(load):
     roofs = f"no_fly: [{{name: roofs, below_m: 20, polygon_m: {COVER_M}}}]"
     assert mission_arena(load(roofs)).no_fly_au == ()
@@ -146,6 +185,11 @@ def test_a_zone_that_covers_all_may_be_flown_over(load):
             f"no_fly: [{{name: a, below_m: 0, polygon_m: {SQUARE_M}}}]",
             "area.no_fly[0].below_m",
             "greater than 0",
+        ),
+        (
+            f"no_fly: [{{name: a, below_m: 9, height_m: 9.5, polygon_m: {SQUARE_M}}}]",
+            "area.no_fly[0]",
+            "height_m 9.5 is more than below_m 9",
         ),
         (f"no_fly: [{{name: a, polygon: {SQUARE_M}}}]", "area.no_fly[0].polygon", "did you mean"),
         (f"no_fly: [{{name: hut, polygon_m: {COVER_M}}}]", "area.no_fly", "'hut' covers all of"),

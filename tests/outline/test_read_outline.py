@@ -122,11 +122,45 @@ def test_a_zone_may_reach_up_to_a_height(read, mark):
         assert [(zone.name, zone.below_m) for zone in outline.no_fly] == [("hut", 60.0)]
 
 
+@pytest.mark.parametrize(
+    ("marks", "top_m"),
+    [
+        ({"height_m": 12}, 12.0),
+        ({"height_m": "12.5", "below_m": 60}, 60.0),
+        ({"height_m": 60, "below_m": 60}, 60.0),
+        ({"below_m": 60}, 60.0),
+        ({}, None),
+    ],
+)
+def test_a_zone_reaches_as_high_as_what_stands_there_unless_it_says(read, marks, top_m):
+    text = geojson(feature(SQUARE), feature(INNER, name="no-fly wood", **marks))
+    data = "".join(f'<Data name="{n}"><value>{v}</value></Data>' for n, v in marks.items())
+    more = f"<ExtendedData>{data}</ExtendedData>"
+    same = kml(placemark(SQUARE), placemark(INNER, name="no-fly wood", more=more))
+    height_m = float(marks["height_m"]) if "height_m" in marks else None
+    for outline in (read(text, "geojson"), read(same, "kml")):
+        field = outline.laid(GeoPoint.at(SQUARE[0]))
+        (zone,) = field.no_fly
+        assert (zone.height_m, zone.top_m) == (height_m, top_m)
+        for above_m in (-0.5, 0.5):
+            is_binding = top_m is None or above_m < 0.0
+            assert len(field.at((top_m or 500.0) + above_m).no_fly) == is_binding
+
+
+@pytest.mark.parametrize("key", ["below_m", "height_m"])
 @pytest.mark.parametrize("mark", [0, -1, 501, "high", True, "nan", [60]])
-def test_a_height_that_is_none_is_told(read, mark):
-    text = geojson(feature(SQUARE), feature(INNER, name="hut", no_fly=True, below_m=mark))
-    with pytest.raises(MissionFileError, match=r"feature 2, 'hut'.*: below_m is '.*not a height"):
+def test_a_height_that_is_none_is_told(read, key, mark):
+    text = geojson(feature(SQUARE), feature(INNER, name="hut", no_fly=True, **{key: mark}))
+    with pytest.raises(MissionFileError, match=rf"feature 2, 'hut'.*: {key} is '.*not a height"):
         read(text, "geojson")
+
+
+def test_what_stands_in_a_zone_does_not_reach_out_of_it(read):
+    hut = feature(INNER, name="no-fly hut", below_m=10, height_m=12)
+    with pytest.raises(
+        MissionFileError, match=r"feature 2, 'no-fly hut': height_m 12 is more than below_m 10"
+    ):
+        read(geojson(feature(SQUARE), hut), "geojson")
 
 
 def test_what_is_not_no_fly_in_words_is_the_field(read):

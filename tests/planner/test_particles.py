@@ -7,7 +7,7 @@ from dronemon.arena import ARENA
 from dronemon.planner import walking
 from dronemon.planner.kinds import KindBelief
 from dronemon.planner.moving import Walls
-from dronemon.planner.particles import ParticleBelief
+from dronemon.planner.particles import ParticleBelief, _Miss, _stops
 from dronemon.planner.settings import MotionSettings
 from dronemon.planner.speeds import SpeedBelief
 from dronemon.planner.walking import (
@@ -20,12 +20,14 @@ from dronemon.planner.walking import (
     X,
     Y,
 )
+from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sensor import PERFECT, Sensor
-from dronemon.sightings import Sightings
+from dronemon.sightings import Sight, Sightings, is_in_view
 from dronemon.types import Measurement
 from dronemon.world import Instance, measure
 
 WALLS = Walls.of(ARENA, ARENA.field)
+NOTHING_HIDES = np.empty((0, 2))
 
 
 class Told:
@@ -122,6 +124,76 @@ def test_walks_anew_are_not_refuted_by_where_a_picture_did_not_look():
         assert np.all(away >= view_au)
 
 
+def hidden_from(first_au, last_au=SENSOR_RADIUS_AU, sectors=slice(0, 18)):
+    """So much hidden to the north-east of the agent, of 72 sectors, or in others."""
+    hidden_au = np.full((72, 2), SENSOR_RADIUS_AU)
+    hidden_au[sectors] = first_au, last_au
+    return hidden_au
+
+
+def test_a_miss_refutes_along_a_street_and_not_behind_its_walls():
+    belief = Told([[np.nan, np.nan]])
+    belief.walkers[:, :2] = 0.5 + np.random.default_rng(0).uniform(
+        -0.1, 0.1, (MotionSettings().num_particles, 2)
+    )
+    belief.update(replace(miss(1e-6, (0.5, 0.5)), view_au=0.02, hidden_au=hidden_from(0.02, 0.08)))
+    away = belief.walkers[:, :2] - 0.5
+    distance = np.hypot(*away.T)
+    near = distance < 0.1
+    assert near.any()
+    assert np.all(away[near] > 0.0)
+    assert distance[near].min() >= 0.02
+    assert distance[near].max() <= 0.08
+
+
+def test_walks_anew_survive_where_something_hides_them():
+    """All its particles are refuted one after the other, but for those that stay behind a wall."""
+    for hidden_au, is_there in ((hidden_from(0.1), False), (hidden_from(0.03), True)):
+        belief = Told([[0.5, 0.5]])
+        belief.update(sighting(0.1, (0.54, 0.54)))
+        for step in range(2, 9):
+            told = replace(miss(0.1 * step, (0.5, 0.5)), hidden_au=hidden_au)
+            belief.update(replace(told, view_au=hidden_au.min()))
+        away = belief.walkers[:, :2] - 0.5
+        near = np.hypot(*away.T) < 0.1
+        assert np.any(near) == is_there
+        assert np.all(away[near] >= 0.0)
+
+
+def test_walks_are_held_to_what_each_miss_hid():
+    """Of a sight, and of a miss that says nothing of it, all beyond the view may be hidden."""
+    hidden_au = hidden_from(0.03, 0.07)
+    misses = [_Miss(0.1 * step, 0.5, 0.5, 0.04, h) for step, h in enumerate((hidden_au, None), 1)]
+    stops = _stops(Sight(0.0, 0.5, 0.5), *misses)
+    np.testing.assert_array_equal(stops.looks[:, 3], [0.0, 0.04, 0.04])
+    assert (stops.hidden[0] == [0.0, SENSOR_RADIUS_AU]).all()
+    np.testing.assert_array_equal(stops.hidden[1], hidden_au)
+    assert (stops.hidden[2] == [0.04, SENSOR_RADIUS_AU]).all()
+    assert _stops(Sight(0.0, 0.5, 0.5), misses[1]).hidden.shape == (2, 0, 2)
+
+
+def test_a_sight_weighs_walks_by_what_was_hidden_between():
+    """Straight on from west to east behind a wall to the north is as good as unseen."""
+    stops = [(0.0, 0.3, 0.5), (0.5, 0.35, 0.44), (1.0, 0.4, 0.5)]
+    open_ground = weighed(deck_at(0.3, 0.5), stops)
+    walled = weighed(deck_at(0.3, 0.5), stops, hidden_au=hidden_from(0.01, sectors=slice(36)))
+    assert walled["legs"] / walled["jitter"] > 1.5 * open_ground["legs"] / open_ground["jitter"]
+
+
+def test_the_compiled_view_is_that_of_the_log():
+    rng = np.random.default_rng(0)
+    first_au = rng.uniform(0.0, SENSOR_RADIUS_AU, 72)
+    hidden_au = np.stack([first_au, rng.uniform(first_au, SENSOR_RADIUS_AU)], axis=-1)
+    places_au = 0.5 + rng.uniform(-0.12, 0.12, (5000, 2))
+    for hidden in (NOTHING_HIDES, hidden_au):
+        look = replace(
+            miss(0.1, (0.5, 0.5)), view_au=0.07, hidden_au=hidden if len(hidden) else None
+        )
+        told = [walking.is_in_view(x, y, 0.5, 0.5, 0.07, hidden) for x, y in places_au]
+        assert told == is_in_view(look, places_au).tolist()
+        assert 0.0 < np.mean(told) < 1.0
+
+
 def test_misses_everywhere_never_leave_a_target_without_particles():
     belief = Told([[0.5, 0.5]])
     rng = np.random.default_rng(1)
@@ -194,7 +266,7 @@ def test_a_miss_on_the_old_trail_removes_as_many_as_the_doubt_says():
     for doubt in (KINDS[0].trail_doubt, 0.0, 1.0):
         kinds = walking.table_of((replace(KINDS[0], trail_doubt=doubt),))
         rng = np.random.default_rng(0)
-        gone = walking.refuted(walkers, agent, 0.1, trail, 0.05, kinds, 0.0, rng)
+        gone = walking.refuted(walkers, agent, 0.1, NOTHING_HIDES, trail, 0.05, kinds, 0.0, rng)
         assert len(gone) / 2000 == pytest.approx(doubt, abs=0.03)
         assert (gone >= 2000).all()
     assert KINDS[0].trail_doubt > 0.5
@@ -208,6 +280,7 @@ def test_an_eye_that_misses_removes_no_more_than_it_would_have_seen():
         walkers,
         np.array([0.05, 0.0]),
         0.1,
+        NOTHING_HIDES,
         nowhere,
         0.1,
         walking.table_of(KINDS),
@@ -277,11 +350,13 @@ def test_circling_targets_keep_the_curve_that_they_were_seen_on():
         assert np.std(np.log(np.abs(curves))) < 0.35  # at first 0.73
 
 
-def weighed(deck, stops, **sensor):
+def weighed(deck, stops, hidden_au=NOTHING_HIDES, **sensor):
     """Shares of the kinds after two sights in a row, and looks with all of the sensor between."""
     rng = np.random.default_rng(0)
     belief = KindBelief(MotionSettings(), Sensor(**sensor), WALLS, rng)
-    belief.observe(deck, np.array([(*stop, 0.1) for stop in stops]), np.empty((0, 2)), 0.1)
+    looks = np.array([(*stop, 0.1) for stop in stops])
+    told = walking.Stops(looks, np.stack([hidden_au] * len(stops)))
+    belief.observe(deck, told, np.empty((0, 2)), 0.1)
     return dict(zip([kind.name for kind in KINDS], belief.shares, strict=True))
 
 

@@ -79,6 +79,18 @@ def test_what_is_seen_uphill_is_nearer(flight, tmp_path):
         assert max(map(away_m, measured(flight, 80.0))) == pytest.approx(away, abs=off)
 
 
+def test_over_a_wood_nothing_is_said_of_who_is_not_seen_and_the_drone_is_not_blind(flight):
+    """All of the area: finds are on trees, and no picture fails: the camera does all it can."""
+    wood = "{name: wood, height_m: 12, polygon_m: [[-90, -90], [90, -90], [90, 90], [-90, 90]]}"
+    flight.mission_text = MISSION.replace("side_m: 100", f"side_m: 100, no_fly: [{wood}]")
+    looks = [event.measurement for event in measured(flight)]
+    assert len(looks) == 8
+    for look in looks:
+        assert not look.seen.any()
+        assert look.view_au == 0.0
+        np.testing.assert_array_equal(look.hidden_au, [[0.0, 0.1]] * len(look.hidden_au))
+
+
 @pytest.mark.parametrize(
     ("rise_m", "cells", "error", "words"),
     [
