@@ -132,9 +132,12 @@ def _laid(mission: Mission) -> tuple[AreaFrame, Field, Field]:
     frame = _frame(mission, (0.0, 0.0), 0.0)
     origin = field_centre(mission.area) or GeoPoint.at((0.0, 0.0))
     whole = lay_field(mission.area, frame, origin)
-    if mission.area.terrain is not None and not mission.flight.follow_terrain:
-        _refuse_unsaid_tops(whole.no_fly)
-    return frame, whole, whole.at(mission.flight.altitude_m - mission.flight.stand_off_m)
+    at_patrol = whole.at(mission.flight.altitude_m - mission.flight.stand_off_m)
+    if mission.area.terrain is not None:
+        # A top is above the ground there, the flight above its own, or the take-off's.
+        binding = (z for z in whole.no_fly if z.height_m is not None or z in at_patrol.no_fly)
+        at_patrol = replace(whole, no_fly=tuple(binding))
+    return frame, whole, at_patrol
 
 
 def lay_frame(
@@ -208,16 +211,6 @@ def _outline(area: Area) -> Outline | None:
     if area.polygon_deg is not None:
         return Outline(border_deg=area.polygon_deg, no_fly=())
     return None
-
-
-def _refuse_unsaid_tops(zones: Sequence[LaidZone]) -> None:
-    """Over hills a height above the ground does not say how far above the take-off it reaches."""
-    for zone in zones:
-        if zone.height_m is not None and zone.below_m is None:
-            raise MissionFileError(
-                f"no-fly {zone.name!r} has height_m, which counts from the ground, but no below_m,"
-                " which counts from the take-off: give both, or set flight.follow_terrain"
-            )
 
 
 def _from_centre(polygon_m: Sequence[tuple[float, float]], frame: AreaFrame) -> FloatArray:

@@ -173,7 +173,7 @@ class KeepOff(Section):
     distance_m: float = Field(ge=1.0, le=500.0)
     """Least distance over ground from where the target is believed to be."""
     below_m: float = Field(ge=2.0, le=500.0)
-    """Height above the take-off point from which on it is not kept off any more."""
+    """Height of the patrol, as flight.altitude_m counts it, from which on it is not kept off."""
 
 
 class Target(Section):

@@ -46,11 +46,12 @@ def _feature(number: int, entry: object) -> Feature:
         name = plain_name(properties.get("name"))
     label = f"feature {number}, {name!r}" if name else f"feature {number}"
     with blamed_on(label):
-        below_m, height_m = heights_m(properties.get)
+        is_zone = is_no_fly(name, properties.get("no_fly"))
+        below_m, height_m = heights_m(properties.get) if is_zone else (None, None)
         return Feature(
             label=label,
             name=name,
-            is_no_fly=is_no_fly(name, properties.get("no_fly")),
+            is_no_fly=is_zone,
             polygons=tuple(_polygons(feature.get("geometry"))),
             below_m=below_m,
             height_m=height_m,

@@ -46,11 +46,12 @@ def _feature(number: int, mark: Element) -> Feature:
     name = plain_name(_text(mark, "name"))
     label = f"Placemark {number}, {name!r}" if name else f"Placemark {number}"
     with blamed_on(label):
-        below_m, height_m = heights_m(partial(_property, mark))
+        is_zone = is_no_fly(name, _property(mark, "no_fly"))
+        below_m, height_m = heights_m(partial(_property, mark)) if is_zone else (None, None)
         return Feature(
             label=label,
             name=name,
-            is_no_fly=is_no_fly(name, _property(mark, "no_fly")),
+            is_no_fly=is_zone,
             polygons=tuple(map(_polygon, _all(mark, "Polygon"))),
             below_m=below_m,
             height_m=height_m,

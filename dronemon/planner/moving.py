@@ -126,15 +126,19 @@ class Ground(NamedTuple):
         )
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, forceinline=True)
 def is_inside(walls, x, y):  # type: ignore[no-untyped-def]
     """Whether a place is within walls."""
     bounds = walls.bounds
     if not (bounds[0, 0] <= x <= bounds[1, 0] and bounds[0, 1] <= y <= bounds[1, 1]):
         return False
-    if walls.edges.shape[0] == 0:
-        return True
-    column, row = cell(bounds, x, y, _WALL_CELLS, _WALL_CELLS)
+    return walls.edges.shape[0] == 0 or _is_within_edges(walls, x, y)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _is_within_edges(walls, x, y):  # type: ignore[no-untyped-def]
+    """Whether a place in the box of walls is within them, where these are not the box itself."""
+    column, row = cell(walls.bounds, x, y, _WALL_CELLS, _WALL_CELLS)
     if walls.cells[column, row] != _ACROSS:
         return walls.cells[column, row] == _INSIDE
     inside = False

@@ -43,9 +43,6 @@ _FEW = 0.15
 """Share of surviving particles below which lost ones are walked anew instead of copied."""
 
 
-_NOTHING_HIDES = np.empty((0, 2))
-
-
 class _Miss(NamedTuple):
     """When and where the agent did not see a target, and what about it was looked at.
 
@@ -57,6 +54,11 @@ class _Miss(NamedTuple):
     y_au: float
     view_au: float
     hidden_au: FloatArray | None
+
+    @classmethod
+    def of(cls, look: Measurement) -> _Miss:
+        x_au, y_au = look.agent_au.tolist()
+        return cls(look.time_au, x_au, y_au, look.view_au, look.hidden_au)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -315,9 +317,7 @@ class ParticleBelief:
         motion = self._motion
         lost: IntArray = walking.refuted(
             target.walkers,
-            look.agent_au,
-            look.view_au,
-            _NOTHING_HIDES if look.hidden_au is None else look.hidden_au,
+            _stops(_Miss.of(look)),
             self._old_trail(target),
             motion.trail_radius_au,
             self.kinds.table,
@@ -337,11 +337,7 @@ class ParticleBelief:
         """When and where the agent has missed a target since a sight; None if too often to tell."""
         first = max(0, self._num_learned - _MOST_MISSES)
         recent = sightings.since(first)[: self._num_learned - first]
-        misses = [
-            _Miss(m.time_au, float(m.agent_au[0]), float(m.agent_au[1]), m.view_au, m.hidden_au)
-            for m in recent
-            if m.time_au > sight.time_au + 1e-9
-        ]
+        misses = [_Miss.of(look) for look in recent if look.time_au > sight.time_au + 1e-9]
         return misses if len(misses) < _MOST_MISSES else None
 
     def _walk_anew(

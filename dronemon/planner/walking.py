@@ -88,7 +88,7 @@ def _turned(heading, rng):  # type: ignore[no-untyped-def]
     return heading + size if rng.random() < 0.5 else heading - size
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, forceinline=True)
 def _step(walker, duration, kinds, walls, rng):  # type: ignore[no-untyped-def]
     """Walk one particle on for a short while inside the arena, in place. walker: (NUM_ROWS,)"""
     turns_per_au, wander, rests_per_au, _ = kinds[int(walker[KIND])]
@@ -120,7 +120,7 @@ def walk(walkers, duration, kinds, walls, rng):  # type: ignore[no-untyped-def]
         _step(walkers[j], duration, kinds, walls, rng)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, forceinline=True)
 def _doubt(walker, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-def]
     """Doubt of one particle for being near its target's own trail."""
     doubt = kinds[int(walker[KIND]), 3]
@@ -140,32 +140,36 @@ def doubts(walkers, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def is_in_view(x, y, agent_x, agent_y, view, hidden):  # type: ignore[no-untyped-def]
-    """Whether a place was looked at: the compiled twin of `dronemon.sightings.is_in_view`."""
+@njit(cache=True, fastmath=True, nogil=True, forceinline=True)
+def is_in_view(x, y, agent_x, agent_y, view, hidden, m):  # type: ignore[no-untyped-def]
+    """Whether look m showed a place: the compiled twin of `dronemon.sightings.is_in_view`."""
     squared = (x - agent_x) ** 2 + (y - agent_y) ** 2
-    if hidden.shape[0] == 0:
+    if hidden.shape[1] == 0:
         return squared < view**2
-    if squared >= SENSOR_RADIUS_AU**2:
-        return False
-    share = math.atan2(y - agent_y, x - agent_x) / math.tau
+    return squared < SENSOR_RADIUS_AU**2 and _is_shown(x - agent_x, y - agent_y, hidden[m])
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _is_shown(dx, dy, hidden):  # type: ignore[no-untyped-def]
+    """Whether nothing hides what is so far off. hidden: (S, 2)"""
+    share = math.atan2(dy, dx) / math.tau
     sector = math.floor(hidden.shape[0] * share) % hidden.shape[0]
-    away = math.sqrt(squared)
+    away = math.sqrt(dx * dx + dy * dy)
     return away < hidden[sector, 0] or away > hidden[sector, 1]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def refuted(walkers, agent, view, hidden, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
+def refuted(walkers, stops, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
     """Particles that a miss removes: in view, or (perhaps) on the target's own trail. -> (L,).
 
-    view, hidden: what was looked at about the agent, as `Stops` has it
-    miss:         chance that the eye misses what is in view
+    stops: that miss alone
+    miss:  chance that the eye misses what is in view
     """
+    _, agent_x, agent_y, view = stops.looks[0]
     out = np.empty(walkers.shape[0], np.int64)
     count = 0
     for j in range(walkers.shape[0]):
-        x, y = walkers[j, X], walkers[j, Y]
-        gone = is_in_view(x, y, agent[0], agent[1], view, hidden)
+        gone = is_in_view(walkers[j, X], walkers[j, Y], agent_x, agent_y, view, stops.hidden, 0)
         if gone and miss > 0.0:
             gone = rng.random() >= miss
         if not gone:
@@ -177,16 +181,14 @@ def refuted(walkers, agent, view, hidden, old_trail, trail_radius, kinds, miss, 
     return out[:count]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _outlives(walker, stops, count, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
-    """Walk one particle on, in place, over stops; whether none of the first `count` refutes it."""
-    looks, hidden = stops.looks, stops.hidden
+@njit(cache=True, fastmath=True, nogil=True, forceinline=True)
+def _outlives(walker, looks, hidden, count, kinds, walls, miss, rng):  # type: ignore[no-untyped-def]
+    """Walk one particle on, in place, over looks; whether none of the first `count` refutes it."""
     for m in range(1, looks.shape[0]):
-        _, x, y, view = looks[m]
         _step(walker, looks[m, 0] - looks[m - 1, 0], kinds, walls, rng)
         if (
             m < count
-            and is_in_view(walker[X], walker[Y], x, y, view, hidden[m])
+            and is_in_view(walker[X], walker[Y], looks[m, 1], looks[m, 2], looks[m, 3], hidden, m)
             and not (miss > 0.0 and rng.random() < miss)
         ):
             return False
@@ -203,6 +205,7 @@ def walk_anew(walkers, lost, deck, stops, kinds, walls, miss, rng):  # type: ign
     miss:  chance that the eye misses what is in view
     """
     done = 0
+    looks = stops.looks
     walker = np.empty(NUM_ROWS)
     for _ in range(_REGENERATIONS):
         if done == lost.shape[0]:
@@ -210,7 +213,7 @@ def walk_anew(walkers, lost, deck, stops, kinds, walls, miss, rng):  # type: ign
         card = int(rng.random() * deck.shape[0])
         for r in range(NUM_ROWS):
             walker[r] = deck[card, r]
-        if _outlives(walker, stops, stops.looks.shape[0], kinds, walls, miss, rng):
+        if _outlives(walker, looks, stops.hidden, looks.shape[0], kinds, walls, miss, rng):
             for r in range(NUM_ROWS):
                 walkers[lost[done], r] = walker[r]
             done += 1
@@ -224,7 +227,9 @@ def outlived(walkers, stops, kinds, walls, miss, rng):  # type: ignore[no-untype
     walkers: (M, NUM_ROWS) as they were at the first
     stops:   the first sight, every miss since, and the second
     """
+    looks = stops.looks
     out = np.empty(walkers.shape[0], np.bool_)
     for j in range(walkers.shape[0]):
-        out[j] = _outlives(walkers[j], stops, stops.looks.shape[0] - 1, kinds, walls, miss, rng)
+        count = looks.shape[0] - 1
+        out[j] = _outlives(walkers[j], looks, stops.hidden, count, kinds, walls, miss, rng)
     return out

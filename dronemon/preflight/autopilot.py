@@ -151,9 +151,10 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
     what = f"the autopilot returns at {height_m:g} m above home"
     if flight.follow_terrain and facts.relief is not None:
         what = f"the autopilot returns at {p['RTL_RETURN_ALT']:g} to {height_m:.0f} m above home"
-        least_m = top_m - flight.altitude_m + flight.stand_off_m  # no mast is between two looks
+        hills_m = top_m - flight.altitude_m  # no mast is between two looks
+        least_m = hills_m + facts.relief.tallest_m + flight.stand_off_m
         if not p["RTL_RETURN_ALT"] >= least_m:
-            why = f"hills, with flight.stand_off_m above them, need {least_m:.0f} m"
+            why = f"hills, what stands there and flight.stand_off_m need {least_m:.0f} m"
             return no(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(least_m))
     mends = {"RTL_RETURN_ALT": math.ceil(least_m)}
     if problem := battery_problem(mission, facts.away_m, p, top_m):

@@ -10,9 +10,13 @@ from typing import Any
 import numpy as np
 
 from dronemon.mission import Mission
+from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.runner.watch import span
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray
+
+_PAUSE_AU = 2.0 * MEASUREMENT_INTERVAL_AU
+"""More between two pictures was not all flown: a battery was changed, or the run went on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +25,8 @@ class Nearness:
 
     nearest_m:    least distance over ground, None if it was never seen
     times_nearer: how often it came nearer than it is to keep off: pictures in a row count once
-    nearer_s:     how long it was; a picture stands for half the time to the ones before and after
+    nearer_s:     how long it was; a picture stands for half the time to the ones before and after,
+                  but for no pause
     """
 
     nearest_m: float | None
@@ -47,11 +52,14 @@ def kept_off(
     """
     log = sightings.since(0)
     times_s = np.array([m.time_au for m in log]) * mission.seconds_per_au
+    most_s = _PAUSE_AU * mission.seconds_per_au
+    half_s = 0.5 * np.minimum(np.diff(times_s), most_s)
+    stands_s = np.pad(half_s, (0, 1)) + np.pad(half_s, (1, 0)) if log else times_s
     agent_au = np.array([m.agent_au for m in log]).reshape(-1, 2)
 
     def nearness(places_au: FloatArray, least_m: float) -> Nearness:
         away_m = np.linalg.norm(places_au - agent_au, axis=-1) * mission.area.side_m
-        return _nearness(np.where(np.isnan(away_m), math.inf, away_m), times_s, least_m)
+        return _nearness(np.where(np.isnan(away_m), math.inf, away_m), stands_s, least_m)
 
     told = {}
     for number, least_m in mission.kept_off_m.items():
@@ -64,15 +72,14 @@ def kept_off(
     return told
 
 
-def _nearness(away_m: FloatArray, times_s: FloatArray, least_m: float) -> Nearness:
-    """Sum up distances, infinite where not seen. away_m, times_s: (T,)."""
+def _nearness(away_m: FloatArray, stands_s: FloatArray, least_m: float) -> Nearness:
+    """Sum up distances, infinite where not seen. away_m, stands_s (what it stands for): (T,)."""
     is_nearer = away_m < least_m
-    ends_s = np.concatenate([times_s[:1], 0.5 * (times_s[1:] + times_s[:-1]), times_s[-1:]])
     nearest_m = float(away_m.min(initial=math.inf))
     return Nearness(
         nearest_m=nearest_m if math.isfinite(nearest_m) else None,
         times_nearer=int(np.sum(np.diff(is_nearer, prepend=False) & is_nearer)),
-        nearer_s=float(np.diff(ends_s)[is_nearer].sum()) if len(times_s) else 0.0,
+        nearer_s=float(stands_s[is_nearer].sum()),
     )
 
 
@@ -82,11 +89,11 @@ def in_words(kept: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _words(distance_m: float, seen: Mapping[str, Any], true: Mapping[str, Any] | None) -> str:
+    truly = f" (truly {true['nearest_m']:.0f} m)" if true else ""
     if seen["nearest_m"] is None:
-        return "never seen"
-    nearer = f"never nearer than {distance_m:g} m"
+        return f"never seen{truly}"
+    nearer = f"never seen nearer than {distance_m:g} m"
     if times := seen["times_nearer"]:
         often = "once" if times == 1 else f"{times} times"
         nearer = f"nearer than {distance_m:g} m {often}, for {span(seen['nearer_s'])}"
-    truly = f" (truly {true['nearest_m']:.0f} m)" if true else ""
     return f"{seen['nearest_m']:.0f} m at the nearest{truly}; {nearer}"

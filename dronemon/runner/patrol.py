@@ -215,8 +215,8 @@ class Patrol:
                 self._events.note("position", "the estimate moved; so does the path", level="WARN")
                 self._set_out(pose)
             elif not self._is_heading_home:
-                where = self._carrot, pose, self._waypoint_au, self._time_au(pose.time_s)
-                self._waypoint_au = self._peace.keep(*where)
+                time_au = self._time_au(pose.time_s)
+                self._waypoint_au = self._peace.keep(self._carrot, pose, self._waypoint_au, time_au)
             self._drag.take(pose)
             motion = self._carrot.advance(
                 min(duration_s, 4 * SETPOINT_INTERVAL_S), pose.position_ned_m[:2]
@@ -336,11 +336,8 @@ class Patrol:
                 if not self._is_planner_asked:
                     self._is_planner_asked = True
                     self._wait_from(self._link.pose)
-                end_m = self._carrot.end_m
                 await self._choose()
                 self._is_waypoint_due = False  # or the next setpoint says so again
-                if self._carrot.end_m != end_m:
-                    self._waiting_since, self._is_planner_asked = None, False
             elif self._observer.has_unseen:
                 await self._observer.look()
             else:
@@ -390,8 +387,10 @@ class Patrol:
         self.tally.decision_ms.append(decision_ms)
         took_s = min(self._link.time_s - self._due_s, _ANSWER_LIMIT_S)
         self._answer_s = max(took_s, _ANSWER_MEMORY * self._answer_s)
-        time_au = self._time_au(self._link.time_s)
+        end_m, time_au = self._carrot.end_m, self._time_au(self._link.time_s)
         self._waypoint_au = self._peace.lengthen(self._carrot, waypoint_au, time_au)
+        if self._carrot.end_m != end_m:
+            self._waiting_since, self._is_planner_asked = None, False
         self._chosen_au, self._node = waypoint_au, waypoint.node
 
     def _time_au(self, now_s: float) -> float:

@@ -97,12 +97,11 @@ class Peace:
         """Turn off a path to a waypoint that leads too near to a target. -> as `lengthen`."""
         if not self._is_due(pose.time_s):
             return waypoint_au
+        path_au = np.stack([self._au(place_m) for place_m in carrot.ahead_m])
+        if not self._frame.arena.segment_is_free(path_au[0], path_au[0]):
+            return waypoint_au  # on its way from a home outside of the field
         places_au = self._believed_au(time_au)
         self._tell(places_au, self._au(pose.position_ned_m[:2]))
-        path_au = np.stack([self._au(place_m) for place_m in carrot.ahead_m])
-        arena = self._frame.arena
-        if not (places_au and arena.segment_is_free(path_au[0], path_au[0])):
-            return waypoint_au  # on its way from a home outside of the field
         discs_au = self._discs_au(places_au, _SHARE)
         is_in = into(path_au[:1], discs_au)
         inside = {number for number, here in zip(places_au, is_in, strict=True) if here}
@@ -144,7 +143,7 @@ class Peace:
         self, start_au: FloatArray, goal_au: FloatArray, places_au: dict[int, FloatArray]
     ) -> FloatArray:
         """Around the targets to the goal, or around one where it asks to stay. -> (K, 2) au."""
-        discs_au = self._discs_au(places_au, 1.0)
+        discs_au = _nearest(self._discs_au(places_au, 1.0), start_au)
         way_au = detour(self._frame.arena, start_au, goal_au, discs_au)
         is_there = bool(len(way_au)) and math.dist(way_au[-1], goal_au) <= ARRIVED_AU
         is_too_near = into(start_au[None], self._discs_au(places_au, _SHARE)).any()
@@ -155,7 +154,7 @@ class Peace:
         return self._around(start_au, discs_au) if self._num_stays >= _MOST_STAYS else way_au[:0]
 
     def _around(self, start_au: FloatArray, discs_au: FloatArray) -> FloatArray:
-        """A stretch around the first disc; none where there is no room. -> (K, 2) au."""
+        """A stretch around the nearest disc; none where there is no room. -> (K, 2) au."""
         *centre_au, radius_au = discs_au[0]
         x_au, y_au = start_au - centre_au
         for turn_rad in _TURNS_RAD + math.atan2(y_au, x_au):
@@ -178,6 +177,12 @@ class Peace:
                 self._events.note("keeps off", what, target=name, away_m=away_m)
             elif away_m > least_m + _SHARE * self._clearance_m:
                 self._are_told.discard(number)
+
+
+def _nearest(discs_au: FloatArray, place_au: FloatArray) -> FloatArray:
+    """The discs whose edges are nearest to a place, nearest first. (D, 3) -> (K, 3)."""
+    away_au = np.linalg.norm(discs_au[:, :2] - place_au, axis=-1) - discs_au[:, 2]
+    return discs_au[np.argsort(away_au)[:_MOST_DISCS]]
 
 
 def _enters(path_au: FloatArray, discs_au: FloatArray) -> bool:

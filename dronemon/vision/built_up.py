@@ -27,6 +27,8 @@ _NUM_LOOKS = 21
 """Along each axis, for the highest ground below an obstacle and the lowest in view."""
 _ROUNDING = 1e-9
 """Share of an edge; or a camera right over it would see none of it in any sector."""
+_LEAST_OVER_M = 1e-9
+"""Of a camera over a top: from there on what it hides has no end."""
 _LEAST = 1e-30
 
 
@@ -43,10 +45,8 @@ class BuiltUp:
         self._whose = np.repeat(np.arange(len(rings)), sizes)
         boxes = [(ring.min(axis=0), ring.max(axis=0)) for ring in rings]
         downs_m = self._look_about(*np.moveaxis(np.array(boxes), 1, 0))
-        highest_down_m = np.nan_to_num(downs_m, nan=-math.inf).min(
-            axis=(0, 1)
-        )  # or no end is to it
-        self._tops_down_m = highest_down_m - [obstacle.height_m for obstacle in obstacles]
+        downs_m = np.nan_to_num(downs_m, nan=-math.inf)  # not known: hides all behind
+        self._tops_down_m = downs_m.min(axis=(0, 1)) - [obstacle.height_m for obstacle in obstacles]
 
     def _look_about(self, low_au: FloatArray, high_au: FloatArray) -> FloatArray:
         """Down coordinates of the ground all over boxes. (..., 2) corners -> (n, n, ...)"""
@@ -93,7 +93,7 @@ class BuiltUp:
         lowest_down_m = np.nanmax(
             self._look_about(eye_au - SENSOR_RADIUS_AU, eye_au + SENSOR_RADIUS_AU)
         )
-        over_m = np.maximum(self._tops_down_m - eye_down_m, _ROUNDING)  # or no end is to it
+        over_m = np.maximum(self._tops_down_m - eye_down_m, _LEAST_OVER_M)
         stretch = np.maximum((lowest_down_m - eye_down_m) / over_m, 1.0)
         starts, ends = self._starts_au - eye_au, self._ends_au - eye_au
         is_around = self._are_around(eye_au[None])

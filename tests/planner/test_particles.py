@@ -27,7 +27,13 @@ from dronemon.types import Measurement
 from dronemon.world import Instance, measure
 
 WALLS = Walls.of(ARENA, ARENA.field)
+
+
 NOTHING_HIDES = np.empty((0, 2))
+
+
+def look_at(agent_au) -> walking.Stops:
+    return walking.Stops(np.array([[0.0, *agent_au, 0.1]]), np.empty((1, 0, 2)))
 
 
 class Told:
@@ -189,7 +195,7 @@ def test_the_compiled_view_is_that_of_the_log():
         look = replace(
             miss(0.1, (0.5, 0.5)), view_au=0.07, hidden_au=hidden if len(hidden) else None
         )
-        told = [walking.is_in_view(x, y, 0.5, 0.5, 0.07, hidden) for x, y in places_au]
+        told = [walking.is_in_view(x, y, 0.5, 0.5, 0.07, hidden[None], 0) for x, y in places_au]
         assert told == is_in_view(look, places_au).tolist()
         assert 0.0 < np.mean(told) < 1.0
 
@@ -266,7 +272,7 @@ def test_a_miss_on_the_old_trail_removes_as_many_as_the_doubt_says():
     for doubt in (KINDS[0].trail_doubt, 0.0, 1.0):
         kinds = walking.table_of((replace(KINDS[0], trail_doubt=doubt),))
         rng = np.random.default_rng(0)
-        gone = walking.refuted(walkers, agent, 0.1, NOTHING_HIDES, trail, 0.05, kinds, 0.0, rng)
+        gone = walking.refuted(walkers, look_at(agent), trail, 0.05, kinds, 0.0, rng)
         assert len(gone) / 2000 == pytest.approx(doubt, abs=0.03)
         assert (gone >= 2000).all()
     assert KINDS[0].trail_doubt > 0.5
@@ -278,9 +284,7 @@ def test_an_eye_that_misses_removes_no_more_than_it_would_have_seen():
     nowhere = np.empty((0, 2))
     gone = walking.refuted(
         walkers,
-        np.array([0.05, 0.0]),
-        0.1,
-        NOTHING_HIDES,
+        look_at([0.05, 0.0]),
         nowhere,
         0.1,
         walking.table_of(KINDS),

@@ -199,7 +199,7 @@ def test_a_vehicle_that_cannot_keep_up_comes_home(flight: Flight, tmp_path: Path
 @pytest.mark.parametrize(
     ("height_m", "parameters", "words"),
     [
-        (hill(40.0, 30.0, (45.0, 45.0)), {}, "straight: hills, with flight.stand_off_m above"),
+        (hill(40.0, 30.0, (45.0, 45.0)), {}, "straight: hills, what stands there"),
         (hill(18.0, 30.0, (45.0, 45.0)), {"GF_MAX_VER_DIST": 37.0}, "outside this fence"),
         (hill(18.0, 60.0), {"MPC_Z_VEL_MAX_DN": 0.7}, "MPC_Z_VEL_MAX_DN allow less"),
         (hill(-150.0, 15.0, (30.0, 30.0)), {}, "fly lower, or slower, which follows steeper"),

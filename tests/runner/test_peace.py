@@ -119,6 +119,14 @@ def test_who_was_never_seen_was_near_nobody_but_in_truth(mission):
     assert how.true.nearest_m == pytest.approx(4.0)
 
 
+def test_no_pause_is_time_near_it(mission):
+    log = log_of(at_m(15.0, 8.0))
+    after_pause = log_of(at_m(*[math.nan] * 89, 15.0)).since(89)[0]
+    log.add(after_pause)
+    (how,) = kept_off(log, None, mission).values()
+    assert how.seen.nearer_s == pytest.approx(2.0 + 4.0), "of half a minute and more"
+
+
 def test_a_patrol_of_no_picture_has_nothing_to_tell(mission):
     (how,) = kept_off(Sightings(NOWHERE), None, mission).values()
     assert (how.seen.nearest_m, how.seen.times_nearer, how.seen.nearer_s) == (None, 0, 0.0)
@@ -132,10 +140,12 @@ def test_words():
         "A": {"distance_m": 10.0, "seen": seen, "true": None},
         "B": {"distance_m": 10.0, "seen": far, "true": seen},
         "C": {"distance_m": 10.0, "seen": never, "true": None},
+        "D": {"distance_m": 10.0, "seen": never, "true": seen},
     }
     assert in_words(kept) == {
         "kept off A": "8 m at the nearest; nearer than 10 m 2 times, for 12 s",
-        "kept off B": "12 m at the nearest (truly 8 m); never nearer than 10 m",
+        "kept off B": "12 m at the nearest (truly 8 m); never seen nearer than 10 m",
         "kept off C": "never seen",
+        "kept off D": "never seen (truly 8 m)",
     }
     assert how_flown({"kept_off": kept}) == in_words(kept)
