@@ -116,8 +116,9 @@ def _hiding(m: Mission) -> str:
     heights_m = [obstacle.height_m for obstacle in mission_obstacles(m)]
     if not heights_m:
         return ""
-    up_m = f"{min(heights_m):g} to {max(heights_m):g} m"
-    return f"; what stands in {len(heights_m)} zones, {up_m} high, hides the ground behind it"
+    count = f"{len(heights_m)} zone{'s' * (len(heights_m) > 1)}"
+    up_m = f"up to {max(heights_m):g} m"
+    return f"; what stands in {count}, {up_m} high, hides the ground behind it"
 
 
 def flight_facts(m: Mission) -> dict[str, str]:
@@ -151,7 +152,9 @@ def flight_facts(m: Mission) -> dict[str, str]:
 def _above(m: Mission) -> str:
     if not m.flight.follow_terrain:
         return ""
-    return f" or more above the ground, which it follows by {m.flight.steepest:.0%} up and down"
+    return (
+        f" or more above the ground, which it follows up and down slopes of {m.flight.steepest:.0%}"
+    )
 
 
 def _camera_fact(m: Mission) -> str:
@@ -168,6 +171,8 @@ def _targets_fact(m: Mission) -> Iterator[str]:
         names = f"{first.name} to {rest[-1].name}" if rest else first.name
         distance_m = m.kept_off_m.get(m.targets.index(first))
         kept = f", kept {distance_m:g} m off" if distance_m else ""
+        if first.keep_off and not distance_m:
+            kept = f", flown over: kept off below {first.keep_off.below_m:g} m only"
         yield f"{names} ({first.appearance}{kept})"
 
 

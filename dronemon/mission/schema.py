@@ -197,7 +197,7 @@ class Target(Section):
         "corner, of a field in au, its box about [0.5, 0.5]; unknown if absent.",
     )
     keep_off: KeepOff | None = None
-    """Distance to leave it in peace; of entries without, the drone flies over it."""
+    """{distance_m: 10, below_m: 60} leaves it in peace; without, the drone flies over it."""
     _entry: int = PrivateAttr(0)
 
     @property

@@ -80,7 +80,7 @@ def check_heights(below_m: float | None, height_m: float | None) -> None:
 
 
 def _metres(name: str, mark: object) -> float | None:
-    if mark is None:
+    if mark is None or not str(mark).strip():
         return None
     try:
         height_m = float(str(mark))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from enum import Enum
 
-from dronemon.mission import Mission, reach_m
+from dronemon.mission import Mission, mission_obstacles, reach_m
 from dronemon.mission.checks import battery_problem, outbound_min, return_min, usable_min
 from dronemon.preflight.findings import HIGH_M, Facts, Judgement, go, no, warn
 
@@ -156,6 +156,9 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
         if not p["RTL_RETURN_ALT"] >= least_m:
             why = f"hills, what stands there and flight.stand_off_m need {least_m:.0f} m"
             return no(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(least_m))
+    elif height_m < (tallest_m := _tallest_m(mission) + flight.stand_off_m):
+        why = f"what stands in no-fly zones and flight.stand_off_m need {tallest_m:.0f} m"
+        return warn(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(tallest_m))
     mends = {"RTL_RETURN_ALT": math.ceil(least_m)}
     if problem := battery_problem(mission, facts.away_m, p, top_m):
         is_mended = battery_problem(mission, facts.away_m, {**p, **mends}, top_m) is None
@@ -167,6 +170,12 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
     if height_m > max(HIGH_M, top_m):
         return warn(f"{what}: higher than the {HIGH_M:g} m that most rules allow", **mends)
     return go(what)
+
+
+def _tallest_m(mission: Mission) -> float:
+    """Height of the tallest thing that stands somewhere; none is as if it were nothing."""
+    heights_m = (thing.height_m for thing in mission_obstacles(mission))
+    return max(heights_m, default=-math.inf)
 
 
 def on_return_place(facts: Facts, _: Mission) -> Judgement:

@@ -96,4 +96,4 @@ def _words(distance_m: float, seen: Mapping[str, Any], true: Mapping[str, Any] |
     if times := seen["times_nearer"]:
         often = "once" if times == 1 else f"{times} times"
         nearer = f"nearer than {distance_m:g} m {often}, for {span(seen['nearer_s'])}"
-    return f"{seen['nearest_m']:.0f} m at the nearest{truly}; {nearer}"
+    return f"{seen['nearest_m']:.0f} m at the nearest in its pictures{truly}; {nearer}"

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from dronemon.errors import MissionFileError
-from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
+from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned, ned_to_degrees
 from dronemon.mission import Mission, mission_obstacles
 from dronemon.preflight import Relief
 from dronemon.runner.profile import Profile
@@ -105,10 +105,13 @@ def _surveyed(
     if mission.flight.follow_terrain:
         ways_m.append(_between(places_m, home_ned_m, num_looks))
     places_m = np.concatenate([places_m, *ways_m])
-    if np.isnan(terrain.down_m(places_m)).any():
+    if (is_unknown := np.isnan(terrain.down_m(places_m))).any():
+        latitude, longitude = ned_to_degrees(places_m[is_unknown][0], origin).tolist()
+        south, west, north, east = grid.bounds_deg
         raise MissionFileError(
-            f"{path}: has no heights of all the area and of the take-off place, {home}; name a "
-            "larger grid"
+            f"{path}: has no heights of all the area and of the take-off place, {home}: none at "
+            f"{latitude:.5f}, {longitude:.5f}; it reaches from {south:.5f}, {west:.5f} to "
+            f"{north:.5f}, {east:.5f}; name a larger grid, or one without gaps"
         )
     return terrain, places_m
 

@@ -54,6 +54,14 @@ class HeightGrid:
         row, column = np.where(is_off, 0.0, row), np.where(is_off, 0.0, column)
         return np.where(is_off, np.nan, self.between(row, column))
 
+    @property
+    def bounds_deg(self) -> tuple[float, float, float, float]:
+        """South, west, north, east."""
+        rows, columns = self.heights_m.shape
+        north_deg = self.south_deg + (rows - 1) * self.cell_deg
+        east_deg = self.west_deg + (columns - 1) * self.cell_deg
+        return self.south_deg, self.west_deg, north_deg, east_deg
+
     def between(self, row: FloatArray, column: FloatArray) -> FloatArray:
         """Height at a place on the grid, counted in rows and columns from 0. (...) -> (...)."""
         rows, columns = self.heights_m.shape

@@ -119,7 +119,7 @@ def test_trees_are_flown_over_and_hide_the_ground(load):
     assert [obstacle.height_m for obstacle in obstacles] == [35.0, 36.0]
     np.testing.assert_allclose(obstacles[0].corners_au, [[0.4, 0.4], [0.6, 0.4], [0.6, 0.6]])
     told = flight_facts(mission)["area"]
-    assert "what stands in 2 zones, 35 to 36 m high, hides the ground behind it" in told
+    assert "what stands in 2 zones, up to 36 m high, hides the ground behind it" in told
     assert mission_obstacles(load("")) == ()
     pond = load("no_fly: [{name: pond, polygon_m: [[0, 60], [9, 60], [9, 69]]}]")
     assert "stands" not in flight_facts(pond)["area"]

@@ -185,6 +185,18 @@ def test_a_flight_that_follows_the_ground_is_judged_by_its_hills(
         assert mended.judgement.verdict in {GO, WARNING}
 
 
+def test_a_tower_on_the_straight_return_is_told():
+    tower = {"name": "tower", "height_m": 80.0, "polygon_m": [[50, 50], [60, 50], [60, 60]]}
+    area = type(MISSION.area).model_validate({"side_m": 200.0, "no_fly": [tower]})
+    (found,) = (
+        finding
+        for finding in judge(FACTS, MISSION.model_copy(update={"area": area}))
+        if finding.name == "height of the return"
+    )
+    assert found.judgement.verdict is WARNING
+    assert found.judgement.mends == {"RTL_RETURN_ALT": 90}
+
+
 def test_no_height_of_the_return_mends_an_area_too_far_away():
     finding = _found("height of the return", replace(FACTS, away_m=20e3))
     assert finding.judgement.verdict is NO_GO

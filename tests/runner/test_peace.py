@@ -142,9 +142,10 @@ def test_words():
         "C": {"distance_m": 10.0, "seen": never, "true": None},
         "D": {"distance_m": 10.0, "seen": never, "true": seen},
     }
+    nearest = "m at the nearest in its pictures"
     assert in_words(kept) == {
-        "kept off A": "8 m at the nearest; nearer than 10 m 2 times, for 12 s",
-        "kept off B": "12 m at the nearest (truly 8 m); never seen nearer than 10 m",
+        "kept off A": f"8 {nearest}; nearer than 10 m 2 times, for 12 s",
+        "kept off B": f"12 {nearest} (truly 8 m); never seen nearer than 10 m",
         "kept off C": "never seen",
         "kept off D": "never seen (truly 8 m)",
     }

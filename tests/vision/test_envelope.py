@@ -123,3 +123,15 @@ def test_in_the_local_frame_it_is_where_the_terrain_is(latitude_deg, cell_deg):
     down_m = envelope.down_m(far_m)
     assert np.isfinite(down_m).all()
     np.testing.assert_allclose(down_m[:4], corners_m, atol=1e-6)
+
+
+def test_a_flight_in_the_corner_of_a_large_grid_is_where_the_terrain_is():
+    """A fit to all of the grid would be metres aside there."""
+    side, cell_deg = 1500, 3.0 / 3600.0
+    slopes_m = 0.3 * cell_deg * 111e3 * np.add.outer(np.arange(side), -np.arange(side))
+    grid = HeightGrid(heights_m=slopes_m, south_deg=59.0, west_deg=8.0, cell_deg=cell_deg)
+    origin = GeoPoint(latitude_deg=60.2, longitude_deg=8.05, altitude_m=0.0)
+    terrain = Terrain(grid, origin, np.zeros(2), 0.0)
+    envelope = Envelope(grid, origin, terrain.level_down_m)
+    places_m = np.random.default_rng(0).uniform(-2000.0, 2000.0, (500, 2))
+    np.testing.assert_allclose(envelope.down_m(places_m), terrain.down_m(places_m), atol=0.1)
