@@ -60,14 +60,16 @@ def plain_name(given: object) -> str:
     return "".join(c for c in " ".join(text.split()) if c.isprintable())[:_LONGEST_NAME]
 
 
-def heights_m(read: Callable[[str], object]) -> tuple[float | None, float | None]:
-    """A feature's properties `below_m` and `height_m`, if it has them. Raises Flaw.
+def zone_marks(name: str, read: Callable[[str], object]) -> tuple[bool, float | None, float | None]:
+    """Whether a feature is no-fly, and its `below_m` and `height_m` if it is. Raises Flaw.
 
     read: gives its property of a name, None where it has none
     """
+    if not _is_no_fly(name, read("no_fly")):
+        return False, None, None
     below_m, height_m = (_metres(name, read(name)) for name in ("below_m", "height_m"))
     check_heights(below_m, height_m)
-    return below_m, height_m
+    return True, below_m, height_m
 
 
 def check_heights(below_m: float | None, height_m: float | None) -> None:
@@ -91,7 +93,7 @@ def _metres(name: str, mark: object) -> float | None:
     return height_m
 
 
-def is_no_fly(name: str, mark: object) -> bool:
+def _is_no_fly(name: str, mark: object) -> bool:
     """Whether a feature's name or its property `no_fly` says so. Raises Flaw."""
     text = (f"{mark:g}" if isinstance(mark, float) else str(mark)).strip().lower()
     if text not in _YES | _NO:

@@ -11,9 +11,8 @@ from dronemon.outline.feature import (
     Flaw,
     Polygon,
     blamed_on,
-    heights_m,
-    is_no_fly,
     plain_name,
+    zone_marks,
 )
 from dronemon.outline.json_file import listed, mapped, numbers, parse_json
 from dronemon.outline.rings import polygon_in_degrees
@@ -46,8 +45,7 @@ def _feature(number: int, entry: object) -> Feature:
         name = plain_name(properties.get("name"))
     label = f"feature {number}, {name!r}" if name else f"feature {number}"
     with blamed_on(label):
-        is_zone = is_no_fly(name, properties.get("no_fly"))
-        below_m, height_m = heights_m(properties.get) if is_zone else (None, None)
+        is_zone, below_m, height_m = zone_marks(name, properties.get)
         return Feature(
             label=label,
             name=name,

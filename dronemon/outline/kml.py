@@ -17,9 +17,8 @@ from dronemon.outline.feature import (
     Flaw,
     Polygon,
     blamed_on,
-    heights_m,
-    is_no_fly,
     plain_name,
+    zone_marks,
 )
 from dronemon.outline.rings import polygon_in_degrees
 
@@ -46,8 +45,7 @@ def _feature(number: int, mark: Element) -> Feature:
     name = plain_name(_text(mark, "name"))
     label = f"Placemark {number}, {name!r}" if name else f"Placemark {number}"
     with blamed_on(label):
-        is_zone = is_no_fly(name, _property(mark, "no_fly"))
-        below_m, height_m = heights_m(partial(_property, mark)) if is_zone else (None, None)
+        is_zone, below_m, height_m = zone_marks(name, partial(_property, mark))
         return Feature(
             label=label,
             name=name,

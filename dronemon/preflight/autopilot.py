@@ -148,17 +148,15 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
     """The height of the return, against hills, the battery, a fence and rules."""
     p, flight, top_m = facts.parameters, mission.flight, facts.top_m(mission)
     height_m, least_m = max(p["RTL_RETURN_ALT"], top_m), flight.altitude_m
+    tallest_m = max((thing.height_m for thing in mission_obstacles(mission)), default=0.0)
     what = f"the autopilot returns at {height_m:g} m above home"
     if flight.follow_terrain and facts.relief is not None:
         what = f"the autopilot returns at {p['RTL_RETURN_ALT']:g} to {height_m:.0f} m above home"
         hills_m = top_m - flight.altitude_m  # no mast is between two looks
-        least_m = hills_m + facts.relief.tallest_m + flight.stand_off_m
+        least_m = hills_m + tallest_m + flight.stand_off_m
         if not p["RTL_RETURN_ALT"] >= least_m:
             why = f"hills, what stands there and flight.stand_off_m need {least_m:.0f} m"
             return no(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(least_m))
-    elif height_m < (tallest_m := _tallest_m(mission) + flight.stand_off_m):
-        why = f"what stands in no-fly zones and flight.stand_off_m need {tallest_m:.0f} m"
-        return warn(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(tallest_m))
     mends = {"RTL_RETURN_ALT": math.ceil(least_m)}
     if problem := battery_problem(mission, facts.away_m, p, top_m):
         is_mended = battery_problem(mission, facts.away_m, {**p, **mends}, top_m) is None
@@ -167,15 +165,12 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
         if most_m <= math.ceil(top_m):
             mends["GF_MAX_VER_DIST"] = math.ceil(_FENCE_ROOM * top_m)
         return no(f"{what}, which is not below GF_MAX_VER_DIST", **mends)
+    if tallest_m > 0.0 and height_m < (clear_m := tallest_m + flight.stand_off_m):
+        why = f"what stands in no-fly zones and flight.stand_off_m need {clear_m:.0f} m"
+        return warn(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(clear_m))
     if height_m > max(HIGH_M, top_m):
         return warn(f"{what}: higher than the {HIGH_M:g} m that most rules allow", **mends)
     return go(what)
-
-
-def _tallest_m(mission: Mission) -> float:
-    """Height of the tallest thing that stands somewhere; none is as if it were nothing."""
-    heights_m = (thing.height_m for thing in mission_obstacles(mission))
-    return max(heights_m, default=-math.inf)
 
 
 def on_return_place(facts: Facts, _: Mission) -> Judgement:

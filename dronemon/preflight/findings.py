@@ -74,7 +74,6 @@ class Relief:
     highest_m, lowest_m: above the take-off
     least_m, most_m:     how far below the flight it is
     top_m:               greatest height of the flight above the take-off
-    tallest_m:           height of the tallest thing that stands somewhere; 0 if nothing does
     px_m:                the camera's focal length: pixels a metre, times the height
     needed_m:            least height from which it shows all that is to be looked at
     needed_px_per_m:     of the detector; 0 if nobody has said
@@ -85,7 +84,6 @@ class Relief:
     least_m: float
     most_m: float
     top_m: float
-    tallest_m: float
     px_m: float
     needed_m: float
     needed_px_per_m: float

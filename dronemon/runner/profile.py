@@ -13,7 +13,7 @@ _PREVIEW_S = 0.25
 """A vertical velocity is the mean over this time before and after: it has no steps."""
 
 
-class Ground(Protocol):
+class Floor(Protocol):
     """What a patrol is to stay above."""
 
     def down_m(self, place_ned_m: FloatArray) -> FloatArray:
@@ -23,16 +23,16 @@ class Ground(Protocol):
 class Profile:
     """Height of the patrol over each place."""
 
-    def __init__(self, ground: Ground, altitude_m: float) -> None:
-        self._ground, self._altitude_m = ground, altitude_m
+    def __init__(self, floor: Floor, altitude_m: float) -> None:
+        self._floor, self._altitude_m = floor, altitude_m
 
     def down_m(self, place_m: Point) -> float:
         """Down coordinate over a place."""
-        return float(self._ground.down_m(np.array(place_m))) - self._altitude_m
+        return float(self._floor.down_m(np.array(place_m))) - self._altitude_m
 
     def heights_m(self, places_m: FloatArray, from_m: FloatArray | float) -> FloatArray:
         """Heights over places, from down coordinates such as the take-off's. (..., 2) -> (...)."""
-        return self._altitude_m + (from_m - self._ground.down_m(places_m))
+        return self._altitude_m + (from_m - self._floor.down_m(places_m))
 
     def height_m(self, place_m: Point, from_m: float) -> float:
         """The same over one place."""
@@ -42,5 +42,5 @@ class Profile:
         """What to ask for on the way over a place: down coordinate in m, velocity down in m/s."""
         step_m = _PREVIEW_S * np.array(velocity_m_s)
         places_m = np.array(place_m) + np.stack([0.0 * step_m, step_m, -step_m])
-        here_m, ahead_m, behind_m = self._ground.down_m(places_m).tolist()
+        here_m, ahead_m, behind_m = self._floor.down_m(places_m).tolist()
         return here_m - self._altitude_m, (ahead_m - behind_m) / (2.0 * _PREVIEW_S)

@@ -78,7 +78,6 @@ def relief_of(
         least_m=float(over_m.min()),
         most_m=float(over_m.max()),
         top_m=float(profile.heights_m(places_m, frame.ground_down_m).max()),
-        tallest_m=max((thing.height_m for thing in mission_obstacles(mission)), default=0.0),
         px_m=mission.camera.model.focal_px,
         needed_m=needed_altitude_m(mission),
         needed_px_per_m=px if px is not None else 0.0,

@@ -10,6 +10,7 @@ import pytest
 
 from dronemon.errors import CameraError
 from dronemon.mission import Mission
+from dronemon.mission.area import Area
 from dronemon.preflight import (
     Facts,
     Finding,
@@ -21,6 +22,7 @@ from dronemon.preflight import (
     judge,
     mending_options,
 )
+from dronemon.preflight.findings import Judgement
 from dronemon.preflight.table import TABLE
 from dronemon.types import GpsFix
 from sim.parameters import TABLE as MOCK
@@ -80,7 +82,6 @@ def _hills(highest_m: float = 10.0, lowest_m: float = -5.0, px: float = 5.0) -> 
         least_m=altitude_m - highest_m,
         most_m=altitude_m - lowest_m,
         top_m=altitude_m,
-        tallest_m=0.0,
         px_m=400.0,
         needed_m=30.0,
         needed_px_per_m=px,
@@ -122,7 +123,6 @@ FOLLOWED = Relief(
     least_m=45.0,
     most_m=62.0,
     top_m=85.0,
-    tallest_m=0.0,
     px_m=400.0,
     needed_m=30.0,
     needed_px_per_m=5.0,
@@ -152,7 +152,6 @@ FOLLOWED = Relief(
         ("ground below", {}, {"MPC_Z_VEL_MAX_UP": math.nan}, NO_GO, "and MPC_Z_VEL_MAX_UP allow"),
         ("height of the return", {}, {}, GO, "returns at 60 to 85 m above home"),
         ("height of the return", {}, {"RTL_RETURN_ALT": 49.0}, NO_GO, "_m need 50 m"),
-        ("height of the return", {"tallest_m": 12.0}, {}, NO_GO, "what stands there and flight.st"),
         ("height of the return", {"top_m": 130.0}, {"RTL_RETURN_ALT": 131.0}, WARNING, "131 m"),
         (
             "height of the return",
@@ -185,16 +184,26 @@ def test_a_flight_that_follows_the_ground_is_judged_by_its_hills(
         assert mended.judgement.verdict in {GO, WARNING}
 
 
+def _return_over(height_m: float, facts: Facts, mission: Mission) -> Judgement:
+    tower = {"name": "tower", "height_m": height_m, "polygon_m": [[50, 50], [60, 50], [60, 60]]}
+    area = Area.model_validate({"side_m": 200.0, "no_fly": [tower]})
+    findings = judge(facts, mission.model_copy(update={"area": area}))
+    return next(f.judgement for f in findings if f.name == "height of the return")
+
+
 def test_a_tower_on_the_straight_return_is_told():
-    tower = {"name": "tower", "height_m": 80.0, "polygon_m": [[50, 50], [60, 50], [60, 60]]}
-    area = type(MISSION.area).model_validate({"side_m": 200.0, "no_fly": [tower]})
-    (found,) = (
-        finding
-        for finding in judge(FACTS, MISSION.model_copy(update={"area": area}))
-        if finding.name == "height of the return"
-    )
-    assert found.judgement.verdict is WARNING
-    assert found.judgement.mends == {"RTL_RETURN_ALT": 90}
+    found = _return_over(80.0, FACTS, MISSION)
+    assert found.verdict is WARNING
+    assert found.mends == {"RTL_RETURN_ALT": 90}
+    far = _return_over(80.0, replace(FACTS, away_m=20e3), MISSION)
+    assert far.verdict is NO_GO, "a warning hides no no-go"
+
+
+def test_a_following_flights_return_clears_what_stands_on_the_highest_hill():
+    found = _return_over(12.0, replace(FACTS, relief=FOLLOWED, parameters=GOOD), FOLLOWING)
+    assert found.verdict is NO_GO
+    assert "what stands there and flight.st" in found.meaning
+    assert found.mends == {"RTL_RETURN_ALT": 62}
 
 
 def test_no_height_of_the_return_mends_an_area_too_far_away():
