@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import subprocess
 import sys
 import time
@@ -136,6 +137,9 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         planner.next_waypoint(snapshot)
         if isinstance(planner, Explaining):
             planner.explanation()
+    # Searching all that is loaded by now for garbage takes 150 ms: more than many a decision.
+    gc.collect()
+    gc.freeze()
 
 
 def try_detector(mission: Mission, detector: Detector) -> None:

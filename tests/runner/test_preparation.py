@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -50,6 +51,14 @@ def test_the_planner_decides_once_on_the_missions_own_terms(mission: Mission) ->
     (snapshot,) = planner.asked
     assert len(snapshot.roadmap.nodes_au) == mission.roadmap.num_nodes + 1
     assert snapshot.belief.num_targets == len(mission.targets)
+
+
+def test_what_is_loaded_by_then_is_not_searched_for_garbage_in_flight(mission: Mission) -> None:
+    gc.unfreeze()
+    before = len(gc.get_objects())
+    asyncio.run(rehearse(mission, make_detector(mission), Watched(), Interrupts()))
+    assert gc.get_freeze_count() > 0.8 * before
+    assert len(gc.get_objects()) < 0.2 * before
 
 
 def test_a_planner_that_fails_is_named(mission: Mission) -> None:
