@@ -328,8 +328,9 @@ class ParticleBelief:
 
     def _old_trail(self, target: TargetParticles) -> FloatArray:
         """Where the target was seen, less what it walked last. -> (P, 2) au"""
-        latest_au = self.time_au - 0.3 / self.speed.mean
-        first_au = self.time_au - self._motion.trail_au / self.speed.mean
+        speed = self.speed.mean
+        latest_au = self.time_au - 0.3 / speed
+        first_au = self.time_au - self._motion.trail_au / speed
         old = [sight[1:] for sight in target.trail if first_au < sight.time_au < latest_au]
         return np.array(old, dtype=np.float64).reshape(-1, 2)
 
