@@ -65,9 +65,12 @@ def zone_marks(name: str, read: Callable[[str], object]) -> tuple[bool, float | 
 
     read: gives its property of a name, None where it has none
     """
+    marks = {key: read(key) for key in ("below_m", "height_m")}
     if not _is_no_fly(name, read("no_fly")):
+        for key in (key for key, mark in marks.items() if _is_given(mark)):
+            raise Flaw(f"{key} is a no-fly zone's: say no_fly, too, or leave it out")
         return False, None, None
-    below_m, height_m = (_metres(name, read(name)) for name in ("below_m", "height_m"))
+    below_m, height_m = (_metres(*mark) for mark in marks.items())
     check_heights(below_m, height_m)
     return True, below_m, height_m
 
@@ -81,8 +84,12 @@ def check_heights(below_m: float | None, height_m: float | None) -> None:
         )
 
 
+def _is_given(mark: object) -> bool:
+    return mark is not None and bool(str(mark).strip())
+
+
 def _metres(name: str, mark: object) -> float | None:
-    if mark is None or not str(mark).strip():
+    if not _is_given(mark):
         return None
     try:
         height_m = float(str(mark))

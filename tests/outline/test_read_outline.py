@@ -155,6 +155,15 @@ def test_a_height_that_is_none_is_told(read, key, mark):
         read(text, "geojson")
 
 
+@pytest.mark.parametrize("key", ["below_m", "height_m"])
+def test_a_height_of_what_is_no_zone_is_told(read, key):
+    text = geojson(feature(SQUARE, **{key: 12}))
+    with pytest.raises(MissionFileError, match=rf"feature 1.*: {key} is a no-fly zone's"):
+        read(text, "geojson")
+    blank = geojson(feature(SQUARE, **{key: " "}))
+    assert read(blank, "geojson").no_fly == ()
+
+
 def test_what_stands_in_a_zone_does_not_reach_out_of_it(read):
     hut = feature(INNER, name="no-fly hut", below_m=10, height_m=12)
     with pytest.raises(
