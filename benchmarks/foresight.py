@@ -20,8 +20,8 @@ from dronemon.planner.search import SearchPlanner
 from dronemon.planner.settings import MotionSettings
 from dronemon.problem import FIRST_DEVELOPMENT_SEED
 from dronemon.sightings import Sightings
-from dronemon.types import FloatArray, Measurement
-from dronemon.world import Instance
+from dronemon.types import FloatArray
+from dronemon.world import Instance, measure
 
 _WIDTH_AU = 0.04
 """Of the kernel about each particle."""
@@ -49,10 +49,7 @@ def foreseen(episode: Episode, motion: MotionSettings, rng: np.random.Generator)
             density(belief.targets[i].walkers[:, :2], episode.targets_au[k, i])
             for i in np.flatnonzero(time_au - sightings.last_seen_au > _UNSEEN_AU)
         )
-        told_au = episode.told_au[k]
-        seen = ~np.isnan(told_au).any(axis=1)
-        agent_au = episode.agent_au[k]
-        sightings.add(Measurement(time_au=time_au, agent_au=agent_au, seen=seen, target_au=told_au))
+        sightings.add(measure(time_au, episode.agent_au[k], episode.targets_au[k]))
         belief.learn(sightings)
     return float(np.log(densities).mean())
 

@@ -67,8 +67,9 @@ def zone_marks(name: str, read: Callable[[str], object]) -> tuple[bool, float | 
     """
     marks = {key: read(key) for key in ("below_m", "height_m")}
     if not _is_no_fly(name, read("no_fly")):
-        for key in (key for key, mark in marks.items() if _is_given(mark)):
-            raise Flaw(f"{key} is a no-fly zone's: say no_fly, too, or leave it out")
+        for key, mark in marks.items():
+            if _is_given(mark):
+                raise Flaw(f"{key} is a no-fly zone's: say no_fly, too, or leave it out")
         return False, None, None
     below_m, height_m = (_metres(*mark) for mark in marks.items())
     check_heights(below_m, height_m)
