@@ -82,6 +82,11 @@ async def _lay_own_fence(link: MavsdkLink) -> tuple[FenceItem, ...]:
     return fence
 
 
+async def _wait_until_landed(link: MavsdkLink) -> None:
+    """By its own failsafe: nobody flies it."""
+    await link.wait_until(lambda: not link.state.is_armed, "disarming", 300.0)
+
+
 @pytest.fixture
 def followed(mock_vehicle: StartMockVehicle):
     """A vehicle that is no child of the program, and the options to meet it."""
@@ -124,7 +129,8 @@ def test_what_was_set_for_a_flight_that_was_killed_is_put_back_at_the_next_start
             time.sleep(0.05)
         program.send_signal(signal.SIGKILL)
     assert len(list(state_folder().glob("*.json"))) == 2
-    code, output = _say(*PROGRAM, "preflight", *options)  # waits until it has landed by itself
+    _told(vehicle, _wait_until_landed)
+    code, output = _say(*PROGRAM, "preflight", *options)
     assert code == 0, output
     assert "GF_ACTION is 2 again, as before it was changed for us" in output
     assert "its own fence is back: 4 corners and circles" in output

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from simulated_vehicle import StartProgram
+from simulated_vehicle import StartProgram, judge_pictures
 
 from dronemon.recorder import RunFolder
 
@@ -71,8 +71,7 @@ def test_ninety_sides_take_three_fresh_batteries_and_beliefs_age_across_each(
     assert summary["outcome"] == "completed"
     swaps = kinds.count("resumed")
     assert kinds.count("armed") == swaps + 1 >= 4  # a slow machine's flight may need one more
-    assert summary["pictures_due"] == 900
-    assert len(seen) == summary["pictures"] > 890  # a busy machine may miss one
+    judge_pictures(summary, seen, due=900)
     assert run.damaged_files() == []
     start_s = seen[0]["time_s"] - SIDE_S * seen[0]["time_au"]
     ages_s = [line["time_s"] - SIDE_S * line["time_au"] - start_s for line in seen]

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 from pymavlink import mavutil
-from simulated_vehicle import StartMockVehicle, StartProgram, free_udp_port
+from simulated_vehicle import StartMockVehicle, StartProgram, free_udp_port, judge_pictures
 
 from dronemon.recorder import RunFolder
 
@@ -141,8 +141,7 @@ def test_a_killed_flight_is_safe_at_once_and_goes_on(
     summary, after = folder.summary(), list(folder.observations())
     assert (summary["outcome"], summary["is_landed"]) == ("completed", True), said
     assert after[: len(before)] == before
-    assert summary["pictures_due"] == 15
-    assert len(after) == summary["pictures"] >= 14  # a busy machine may miss one
+    judge_pictures(summary, after, due=15)
     assert folder.damaged_files() == []
     kinds = [event["kind"] for event in folder.events()]
     assert is_from_the_ground or "attached" in kinds, said
