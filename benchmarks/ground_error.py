@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from vision import CAMERA, SIDE_M, is_whole, random_scene
+from vision import CAMERA, is_whole
 
 from dronemon.frames import ground_to_pixel, pixel_to_ground
 from dronemon.mission.camera import PlaceErrors
@@ -27,6 +27,7 @@ from dronemon.types import APPEARANCES, CameraModel, FloatArray, Pose, Vector3
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.ground_error import ground_covariance, told_covariance
 from dronemon.vision.surface import Plane
+from sim.random_scene import SIDE_M, random_scene
 from sim.renderer import Renderer
 
 ERRORS = PlaceErrors()

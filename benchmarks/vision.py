@@ -6,6 +6,8 @@ vehicle, and goes through the JPEG of the stream. With `--height-m H` the height
 H/35 as large. A target counts for recall if it is drawn wholly inside both the sensor's circle and
 the picture.
 
+`--network FILE` measures one in an ONNX file in place of the drawn detector.
+
 `--conditions` shows all appearances together, from 32 m (10 pixels a metre) in ten worlds, and is
 less kind in one way after the other. `dronemon.vision.prototypes` was measured on other seeds
 (`--measure`, 10001 and up).
@@ -18,11 +20,13 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from dronemon.frames import AreaFrame, ground_to_pixel, pixel_to_ground
+from dronemon.frames import ground_to_pixel, pixel_to_ground
+from dronemon.mission.detector import DetectorSection
 from dronemon.mission.schema import Simulation
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.types import (
@@ -34,19 +38,18 @@ from dronemon.types import (
     Detection,
     FloatArray,
     ImageArray,
-    Pose,
 )
+from dronemon.vision.boxed import BoxDetector
+from dronemon.vision.detector import Detector
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.prototypes import COAT_COLOURS
 from sim.camera import encode
+from sim.random_scene import random_scene
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 from sim.sprites import drawn_size_m
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
-SIDE_M = 200.0
-HEIGHT_M = 35.0
-MAX_TILT_RAD = math.radians(15.0)
 GROUPS = {"animals": ANIMALS, "people": PEOPLE, "vehicles": VEHICLES}
 ALL_HEIGHT_M = 32.0
 NUM_WORLDS = 10
@@ -64,67 +67,9 @@ CONDITIONS = {
     "JPEG 75": Simulation(jpeg_quality=75),
     "JPEG 40": Simulation(jpeg_quality=40),
 }
+MIN_SCORE = 0.5
 MATCH_M = 2.5
 """A detection this near to an animal is of that animal."""
-
-
-def random_scene(
-    rng: np.random.Generator,
-    height_m: float | None = None,
-    *,
-    appearances: tuple[str, ...] = ANIMALS,
-    reach: float = 1.0,
-    num_near: int = 1,
-    max_tilt_rad: float = MAX_TILT_RAD,
-) -> Scene:
-    """A scene with `num_near` targets within `reach` sensor radii and the others anywhere."""
-    side_m = SIDE_M if height_m is None else SIDE_M * height_m / HEIGHT_M
-    frame = AreaFrame(
-        centre_ned_m=(rng.uniform(-300.0, 300.0), rng.uniform(-300.0, 300.0)),
-        ground_down_m=rng.uniform(-5.0, 5.0),
-        side_m=side_m,
-        heading_rad=rng.uniform(-math.pi, math.pi),
-        cruise_speed_m_s=5.0,
-    )
-    north_m, east_m = frame.au_to_ned(rng.uniform(0.0, 1.0, 2))
-    tilt_rad, towards = max_tilt_rad * math.sqrt(rng.uniform()), rng.uniform(-math.pi, math.pi)
-    if height_m is None:
-        height_m = HEIGHT_M * rng.uniform(0.8, 1.2)
-    pose = Pose(
-        time_s=rng.uniform(0.0, 1000.0),
-        position_ned_m=(north_m, east_m, frame.ground_down_m - height_m),
-        velocity_ned_m_s=(0.0, 0.0, 0.0),
-        attitude_rad=(
-            tilt_rad * math.sin(towards),
-            tilt_rad * math.cos(towards),
-            rng.uniform(-math.pi, math.pi),
-        ),
-    )
-    near = rng.permutation(len(appearances))[:num_near]
-    animals: list[Animal] = []
-    for i, appearance in enumerate(appearances):
-        at_m = frame.au_to_ned(rng.uniform(0.0, 1.0, 2))
-        if i in near:
-            reach_m, bearing = reach * SENSOR_RADIUS_AU * side_m, rng.uniform(0.0, math.tau)
-            at_m = np.array([north_m, east_m]) + reach_m * math.sqrt(rng.uniform()) * np.array(
-                [math.cos(bearing), math.sin(bearing)]
-            )
-        animal = Animal(
-            name=appearance,
-            appearance=appearance,
-            position_ned_m=(at_m[0], at_m[1]),
-            heading_rad=rng.uniform(-math.pi, math.pi),
-            walked_m=rng.uniform(0.0, 100.0),
-        )
-        if not any(touch(animal, other) for other in animals):
-            animals.append(animal)
-    return Scene(pose=pose, frame=frame, animals=tuple(animals))
-
-
-def touch(one: Animal, other: Animal) -> bool:
-    """Whether two may be drawn one over the other."""
-    lengths_m = [drawn_size_m(animal.appearance)[0] for animal in (one, other)]
-    return math.dist(one.position_ned_m, other.position_ned_m) < 0.5 * sum(lengths_m)
 
 
 def is_whole(scene: Scene, animal: Animal) -> bool:
@@ -217,9 +162,15 @@ class Tally:
                 yield f"    {name}: {num_found} of {self.num_whole[name]}"
 
 
-def look(
-    tally: Tally, scene: Scene, renderer: Renderer, detector: DrawnDetector, quality: int
-) -> None:
+def make(network: Path | None, appearances: tuple[str, ...]) -> Detector:
+    """The detector that is measured."""
+    if network is None:
+        return DrawnDetector(appearances, CAMERA, MIN_SCORE)
+    section = DetectorSection(kind="onnx", file=str(network), min_score=MIN_SCORE)
+    return BoxDetector(section, appearances, CAMERA)
+
+
+def look(tally: Tally, scene: Scene, renderer: Renderer, detector: Detector, quality: int) -> None:
     """Take one picture, and count what is found in it."""
     jpeg = np.frombuffer(encode(renderer.render(scene), quality), np.uint8)
     image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
@@ -234,12 +185,15 @@ def _ground(pixel_px: tuple[float, float], scene: Scene) -> FloatArray:
 
 
 def benchmark(
-    seed: int, num_pictures: int, appearances: tuple[str, ...], height_m: float | None
+    detector: Detector,
+    seed: int,
+    num_pictures: int,
+    appearances: tuple[str, ...],
+    height_m: float | None,
 ) -> None:
     """Print how well and how fast targets of a group are found."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
-    detector = DrawnDetector(appearances, CAMERA, min_score=0.5)
     tally = Tally()
     for _ in range(num_pictures):
         scene = random_scene(rng, height_m, appearances=appearances)
@@ -248,9 +202,8 @@ def benchmark(
     print("\n".join(tally.lines()))
 
 
-def compare(seed: int, num_pictures: int) -> None:
-    """Print what unkind pictures do to the detector, a line of Markdown for each condition."""
-    detector = DrawnDetector(APPEARANCES, CAMERA, min_score=0.5)
+def compare(detector: Detector, seed: int, num_pictures: int) -> None:
+    """Print what unkind pictures do to a detector, a line of Markdown for each condition."""
     tallies = {name: Tally() for name in CONDITIONS}
     num_each = math.ceil(num_pictures / len(CONDITIONS) / NUM_WORLDS)
     for world in range(seed, seed + NUM_WORLDS):
@@ -294,7 +247,7 @@ def measure(
     """Print the median traits of what is drawn, for `dronemon.vision.prototypes`."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
-    detector = DrawnDetector(appearances, CAMERA, min_score=0.5)
+    detector = DrawnDetector(appearances, CAMERA, MIN_SCORE)
     traits: dict[str, list[FloatArray]] = {name: [] for name in appearances}
     for _ in range(num_pictures):
         scene = random_scene(rng, height_m, appearances=appearances, reach=1.5, num_near=4)
@@ -321,6 +274,7 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, help="default: 500, or 1000 with --conditions")
     parser.add_argument("--of", choices=[*GROUPS], default="animals", help="default: animals")
     parser.add_argument("--height-m", type=float, help="default: 35 +-20 %%")
+    parser.add_argument("--network", type=Path, help="an ONNX file, such as models/eyes.onnx")
     modes = parser.add_mutually_exclusive_group()
     modes.add_argument("--measure", action="store_true", help="print the prototypes instead")
     modes.add_argument("--conditions", action="store_true", help="print a table of all, instead")
@@ -328,12 +282,13 @@ def main() -> None:
     cv2.setNumThreads(1)
     pictures, of = options.pictures or 500, GROUPS[options.of]
     if options.conditions:
-        compare(options.seed or 0, options.pictures or 1000)
+        compare(make(options.network, APPEARANCES), options.seed or 0, options.pictures or 1000)
     elif options.measure:
         seed = 10001 if options.seed is None else options.seed
         measure(seed, pictures, of, options.height_m)
     else:
-        benchmark(options.seed or 0, pictures, of, options.height_m)
+        detector = make(options.network, of)
+        benchmark(detector, options.seed or 0, pictures, of, options.height_m)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,1 @@
+"""A small network for the simulator's animals, people and vehicles, and its training."""
