@@ -66,8 +66,8 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     world = World(mission, options.walked)
-    for appearance in {target.appearance for target in mission.targets}:
-        draw_sprites(appearance)  # half a second each, which no picture is to wait for
+    for look in set(world.looks):
+        draw_sprites(look)  # half a second each, which no picture is to wait for
     model, seed = mission.camera.model, mission.simulation.seed
     async with contextlib.AsyncExitStack() as stack:
         simulated: Follower | MockFlight

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dronemon.types import ImageArray, Vector3
 
 SPRITE_PX_PER_M = 32.0
-"""Finest resolution of sprites, in pixels per drawn metre."""
+"""Finest resolution of most sprites, in pixels per drawn metre."""
 NUM_PHASES = 8
 """Pictures of one stride."""
 NUM_LEVELS = 4
@@ -40,13 +40,10 @@ class Canvas:
 
     @staticmethod
     def around(
-        centre_x_m: float, half_length_m: float, half_breadth_m: float, scale: float
+        centre_x_m: float, half_length_m: float, half_breadth_m: float, px_per_m: float
     ) -> Canvas:
-        """Large enough for something of that size, with its centre in the middle.
-
-        scale: drawn length over real length
-        """
-        px_per_m, multiple = SPRITE_PX_PER_M * scale, 2**NUM_LEVELS
+        """Large enough for something of that size, with its centre in the middle."""
+        multiple = 2**NUM_LEVELS
         columns = math.ceil((half_length_m + _MARGIN_M) * px_per_m / multiple) * multiple
         rows = math.ceil((half_breadth_m + _MARGIN_M) * px_per_m / multiple) * multiple
         axis_x = (np.arange(-columns, columns) + 0.5) / px_per_m + centre_x_m

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronemon.types import Vector3
-from sim.painting import NUM_PHASES, Canvas, Layer
+from sim.painting import NUM_PHASES, SPRITE_PX_PER_M, Canvas, Layer
 
 # Colours are BGR, 0 to 1.
 _HAIR = (0.10, 0.15, 0.22)
@@ -28,6 +28,7 @@ class Person:
 
     jacket: Vector3
     scale: float = 1.0
+    px_per_m: float = SPRITE_PX_PER_M
     centre_x_m: float = 0.0
     half_length_m: float = _REACH_M + _LEG_M
     half_breadth_m: float = 0.30

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import cv2
 import numpy as np
@@ -13,7 +14,6 @@ from dronemon.types import CameraModel, FloatArray, ImageArray
 from sim.exposure import KIND, Exposure, smear
 from sim.ground_texture import TEXEL_M, TILE_M, draw_clouds, draw_ground, pyramid
 from sim.obstacles import draw_obstacles
-from sim.painting import SPRITE_PX_PER_M
 from sim.scene import Animal, Scene
 from sim.sprites import draw_sprites, stride_m
 from sim.view import MIN_HEIGHT_M, NEAREST, View
@@ -93,14 +93,14 @@ class Renderer:
         phase = animal.walked_m / stride_m(animal.appearance) % 1.0
         sprites = draw_sprites(animal.appearance)
         sprite = sprites[int(phase * len(sprites)) % len(sprites)]
-        height_m = sprite.top_m
+        up_m, height_m = animal.up_m, sprite.top_m
         shadow_m = (north_m + _SHADOW_PER_M[0] * height_m, east_m + _SHADOW_PER_M[1] * height_m)
         shadow_at, at = (*shadow_m, animal.heading_rad), (north_m, east_m, animal.heading_rad)
-        up_m = animal.up_m
-        _stamp(image, view, sprite.upper, at=shadow_at, height_m=up_m, is_shadow=True)
+        stamp = partial(_stamp, image, view, px_per_m=sprite.px_per_m)
+        stamp(sprite.upper, at=shadow_at, height_m=up_m, is_shadow=True)
         for fraction in (0.0, 0.35, 0.7):
-            _stamp(image, view, sprite.lower, at=at, height_m=up_m + fraction * height_m)
-        _stamp(image, view, sprite.upper, at=at, height_m=up_m + height_m)
+            stamp(sprite.lower, at=at, height_m=up_m + fraction * height_m)
+        stamp(sprite.upper, at=at, height_m=up_m + height_m)
 
 
 def _warp(
@@ -117,19 +117,20 @@ def _stamp(
     view: View,
     pyramid: tuple[ImageArray, ...],
     *,
+    px_per_m: float,
     at: tuple[float, float, float],
     height_m: float,
     is_shadow: bool = False,
 ) -> None:
     """Lay one layer of a sprite into the picture.
 
-    pyramid: (rows, columns, 4) BGRA, premultiplied, at each half of the resolution before
+    pyramid: (rows, columns, 4) BGRA, premultiplied, at px_per_m and each half of it
     at:      north, east in m from the vehicle, heading in rad
     """
     if view.height_m - height_m < MIN_HEIGHT_M:
         return
     rows, columns = pyramid[0].shape[:2]
-    homography = view.homography(height_m) @ _ground_from_sprite(rows, columns, at)
+    homography = view.homography(height_m) @ _ground_from_sprite(rows, columns, px_per_m, at)
     corners = np.array([[0, 0, 1], [columns, 0, 1], [columns, rows, 1], [0, rows, 1]])
     projected = (corners - [0.5, 0.5, 0.0]) @ homography.T
     if projected[:, 2].min() < NEAREST * view.height_m:
@@ -162,10 +163,12 @@ def _lay_over(part: ImageArray, layer: ImageArray, *, is_shadow: bool) -> None:
         part[:] = cv2.add(part, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR))
 
 
-def _ground_from_sprite(rows: int, columns: int, at: tuple[float, float, float]) -> FloatArray:
+def _ground_from_sprite(
+    rows: int, columns: int, px_per_m: float, at: tuple[float, float, float]
+) -> FloatArray:
     """-> (3, 3) from (column, row, 1) of a sprite to (north, east, 1)"""
     north_m, east_m, heading_rad = at
-    s, c = math.sin(heading_rad) / SPRITE_PX_PER_M, math.cos(heading_rad) / SPRITE_PX_PER_M
+    s, c = math.sin(heading_rad) / px_per_m, math.cos(heading_rad) / px_per_m
     turned = np.array([[c, -s, north_m], [s, c, east_m], [0.0, 0.0, 1.0]])
     centred = np.eye(3)
     centred[:2, 2] = -0.5 * (columns - 1), -0.5 * (rows - 1)

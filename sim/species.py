@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from dronemon.types import Vector3
-from sim.painting import NUM_PHASES, Canvas, Field, Layer
+from sim.painting import NUM_PHASES, SPRITE_PX_PER_M, Canvas, Field, Layer
 
 DRAWN_SCALE = 1.8
 """Drawn length over real length, the same for every animal."""
@@ -54,6 +54,7 @@ class Species:
     ears: tuple[float, float, float, Vector3]
     """x, half their distance and radius in m, colour."""
     has_antlers: bool = False
+    px_per_m: float = SPRITE_PX_PER_M
 
     @property
     def centre_x_m(self) -> float:

@@ -10,6 +10,7 @@ from typing import Protocol
 from dronemon.types import APPEARANCES, ImageArray
 from sim.painting import Canvas, Layer
 from sim.people import PEOPLE
+from sim.robots import Robot
 from sim.species import SPECIES
 from sim.vehicles import VEHICLES
 
@@ -20,6 +21,10 @@ class Figure(Protocol):
     @property
     def scale(self) -> float:
         """Drawn length over real length."""
+
+    @property
+    def px_per_m(self) -> float:
+        """Finest resolution of its sprites, in pixels per drawn metre."""
 
     @property
     def centre_x_m(self) -> float:
@@ -57,38 +62,44 @@ assert set(_FIGURES) == set(APPEARANCES)
 class Sprite:
     """A figure in one phase of its stride, seen from above, its nose towards column infinity.
 
-    lower, upper: (rows, columns, 4) uint8 BGRA, premultiplied by alpha, at SPRITE_PX_PER_M and at
-    each half of it. The figure's centre is the sprite's; a row further down is further right.
+    lower, upper: (rows, columns, 4) uint8 BGRA, premultiplied by alpha, at px_per_m and at each
+    half of it. The figure's centre is the sprite's; a row further down is further right.
     """
 
     lower: tuple[ImageArray, ...]
     upper: tuple[ImageArray, ...]
     top_m: float
+    px_per_m: float
+
+
+@cache
+def _figure(appearance: str) -> Figure:
+    return _FIGURES[appearance] if appearance in _FIGURES else Robot.of(appearance)
 
 
 @cache
 def draw_sprites(appearance: str) -> tuple[Sprite, ...]:
     """The sprites of one stride."""
-    figure = _FIGURES[appearance]
-    canvas = Canvas.around(
-        figure.centre_x_m, figure.half_length_m, figure.half_breadth_m, figure.scale
-    )
+    figure = _figure(appearance)
+    px_per_m = figure.px_per_m * figure.scale
+    canvas = Canvas.around(figure.centre_x_m, figure.half_length_m, figure.half_breadth_m, px_per_m)
     top_m = figure.top_m * figure.scale
     phases = [i / figure.num_phases for i in range(figure.num_phases)]
     parts = [figure.paint(canvas, phase) for phase in phases]
     return tuple(
-        Sprite(lower=lower.images(), upper=upper.images(), top_m=top_m) for lower, upper in parts
+        Sprite(lower=lower.images(), upper=upper.images(), top_m=top_m, px_per_m=figure.px_per_m)
+        for lower, upper in parts
     )
 
 
 def stride_m(appearance: str) -> float:
     """Ground covered in one stride, as drawn."""
-    return _FIGURES[appearance].stride_m * _FIGURES[appearance].scale
+    return _figure(appearance).stride_m * _figure(appearance).scale
 
 
 def drawn_size_m(appearance: str) -> tuple[float, float, float]:
     """Length, width and height of the upper part, as drawn."""
-    figure = _FIGURES[appearance]
+    figure = _figure(appearance)
     sizes_m = 2.0 * figure.half_length_m, 2.0 * figure.half_breadth_m, figure.top_m
     length_m, width_m, height_m = (size_m * figure.scale for size_m in sizes_m)
     return length_m, width_m, height_m

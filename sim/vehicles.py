@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dronemon.types import Vector3
-from sim.painting import Canvas, Layer
+from sim.painting import SPRITE_PX_PER_M, Canvas, Layer
 
 # Colours are BGR, 0 to 1.
 _BLACK = (0.08, 0.08, 0.08)
@@ -34,6 +34,7 @@ class Vehicle:
     gap_x_m: tuple[float, float] | None = None
     """From x to x, what lies open between cab and load."""
     scale: float = 1.0
+    px_per_m: float = SPRITE_PX_PER_M
     centre_x_m: float = 0.0
     stride_m: float = 1.0
     num_phases: int = 1

@@ -23,10 +23,12 @@ from dronemon.mission import (
     mission_arena,
     mission_obstacles,
 )
+from dronemon.mission.schema import Target
 from dronemon.types import FloatArray, Obstacle, Pose, Vector3
 from dronemon.vision.heights import read_heights
 from dronemon.vision.terrain import Terrain
 from dronemon.world import Instance
+from sim.robots import look_of
 from sim.scene import Animal, Scene
 
 DEFAULT_PLACE = GeoPoint(latitude_deg=47.397742, longitude_deg=8.545594, altitude_m=488.0)
@@ -35,8 +37,20 @@ AIRBORNE_M = 2.0
 """Height from which a picture is one of the flight."""
 
 
+def _look(mission: Mission, target: Target) -> str:
+    """What a target is drawn as."""
+    of = mission.detector
+    if of.kind != "markers":
+        return target.appearance
+    assert of.side_m is not None  # mission_problems
+    return look_of(of.family, target.appearance, of.side_m)
+
+
 class World:
-    """Where the targets of a mission are at any time since the first picture in the air."""
+    """Where the targets of a mission are at any time since the first picture in the air.
+
+    looks: what each target is drawn as
+    """
 
     def __init__(self, mission: Mission, walked_s: float = 0.0) -> None:
         self._mission = mission
@@ -44,6 +58,7 @@ class World:
         self._pictured_s: float | None = None
         self._terrain: Terrain | None = None
         self._obstacles = mission_obstacles(mission)
+        self.looks = [_look(mission, target) for target in mission.targets]
         simulated = mission.simulation
         self._paths = Instance.draw(
             simulated.seed,
@@ -104,14 +119,14 @@ class World:
         animals = tuple(
             Animal(
                 name=target.name,
-                appearance=target.appearance,
+                appearance=look,
                 position_ned_m=(float(place[0]), float(place[1])),
                 heading_rad=math.pi / 2.0 + frame.heading_rad - float(heading),
                 walked_m=walked_au * frame.side_m,
                 up_m=up_m,
             )
-            for target, place, heading, up_m in zip(
-                self._mission.targets, places, headings, ups_m, strict=True
+            for target, look, place, heading, up_m in zip(
+                self._mission.targets, self.looks, places, headings, ups_m, strict=True
             )
         )
         return Scene(

@@ -114,10 +114,14 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
     others = {other for taken in detector.confusion.values() for other in taken}
     if detector.kind == "drawn" and (strange := sorted(others - set(APPEARANCES))):
         yield ("detector", "confusion"), f"kind drawn finds no {strange[0]!r}"
+    is_simulated, is_marked = mission.camera.is_simulated, detector.kind == "markers"
+    if is_simulated and is_marked and detector.side_m is None:
+        yield ("detector", "side_m"), "is missing; it says how large the simulator draws them"
     for target in mission.targets:
         name = target.appearance
-        if (detector.kind == "drawn" or mission.camera.is_simulated) and name not in APPEARANCES:
-            who = "the simulator draws" if mission.camera.is_simulated else "kind drawn knows"
+        is_drawn = detector.kind == "drawn" or (is_simulated and not is_marked)
+        if is_drawn and name not in APPEARANCES:
+            who = "the simulator draws" if is_simulated else "kind drawn knows"
             yield (
                 ("targets", target.entry, "appearance"),
                 f"{name!r} is none of what {who}; {did_you_mean(name, APPEARANCES)}"

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dronemon.errors import CameraError, OptionError, did_you_mean
+from dronemon.errors import CameraError, OptionError
 from dronemon.types import FloatArray, ImageArray
 from dronemon.vision.lens import Lens
-from dronemon.vision.markers import FAMILIES, dictionary_of
+from dronemon.vision.markers import dictionary_of
 
 _LEAST_CORNERS = 8
 _MOST_OFF_PX = 1.0
@@ -41,11 +41,8 @@ class Board:
         """Raises OptionError for markers that there are not, and for a size that is none."""
         if not 0.0 < self.square_m < math.inf:
             raise OptionError(f"a square's side is {self.square_m} m; it must be above 0")
-        if self.markers is not None and self.markers not in FAMILIES:
-            raise OptionError(
-                f"markers {self.markers!r}: there is no such family; "
-                f"{did_you_mean(self.markers, FAMILIES)}there are: {', '.join(FAMILIES)}"
-            )
+        if self.markers is not None:
+            dictionary_of(self.markers)
 
     def find(self, image: ImageArray) -> tuple[Points, Points] | None:
         """Its corners on the board, (K, 3) m, and in the picture, (K, 2) px, if it is seen."""

@@ -15,15 +15,31 @@ from dronemon.vision.project import ground_side_m
 _MOST_OFF = 1.5
 """How much larger or smaller than it is a marker may seem: it may lie higher than the ground."""
 _PREFIX = "DICT_"
-FAMILIES: tuple[str, ...] = tuple(
-    sorted(name[len(_PREFIX) :].lower() for name in dir(cv2.aruco) if name.startswith(_PREFIX))
+FAMILIES = tuple(
+    sorted({name[len(_PREFIX) :].lower() for name in dir(cv2.aruco) if name.startswith(_PREFIX)})
 )
 """Sets of markers, by OpenCV's names."""
 
 
 def dictionary_of(family: str) -> cv2.aruco.Dictionary:
-    """The markers of a set."""
+    """The markers of a set. Raises OptionError."""
+    if family not in FAMILIES:
+        raise OptionError(
+            f"family {family!r}: there is no such set of markers; "
+            f"{did_you_mean(family, FAMILIES)}there are: {', '.join(FAMILIES)}"
+        )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _PREFIX + family.upper()))
+
+
+def number_of(appearance: str, family: str) -> int:
+    """The number of a marker of a set. Raises OptionError."""
+    count = len(dictionary_of(family).bytesList)
+    if appearance not in map(str, range(count)):
+        raise OptionError(
+            f"appearance {appearance!r} is no marker of {family}; give each target the "
+            f"number of its marker, 0 to {count - 1}"
+        )
+    return int(appearance)
 
 
 class MarkerDetector:
@@ -31,22 +47,9 @@ class MarkerDetector:
 
     def __init__(self, of: DetectorSection, numbers: Sequence[str], camera: CameraModel) -> None:
         """Raises OptionError for a family or a marker that there is not."""
-        if of.family not in FAMILIES:
-            raise OptionError(
-                f"family {of.family!r}: there is no such set of markers; "
-                f"{did_you_mean(of.family, FAMILIES)}there are: {', '.join(FAMILIES)}"
-            )
-        dictionary = dictionary_of(of.family)
-        count = len(dictionary.bytesList)
-        for number in numbers:
-            if number not in map(str, range(count)):
-                raise OptionError(
-                    f"appearance {number!r} is no marker of {of.family}; give each target the "
-                    f"number of its marker, 0 to {count - 1}"
-                )
-        self._appearances = {int(number): number for number in numbers}
+        self._appearances = {number_of(number, of.family): number for number in numbers}
         self._camera, self._side_m = camera, of.side_m
-        self._finder = cv2.aruco.ArucoDetector(dictionary)
+        self._finder = cv2.aruco.ArucoDetector(dictionary_of(of.family))
 
     def detect(self, image: ImageArray, pose: Pose, ground_down_m: float) -> tuple[Detection, ...]:
         """The targets' markers in a picture; a marker is never unsure.

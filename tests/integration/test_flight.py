@@ -159,8 +159,10 @@ def _errors_m(flight: Flight, side_m: float) -> list[float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("mission", "side_m"), [("people", 250.0), ("vehicles", 350.0)])
-def test_people_and_vehicles_are_watched_to_the_end(
+@pytest.mark.parametrize(
+    ("mission", "side_m"), [("people", 250.0), ("vehicles", 350.0), ("robots", 80.0)]
+)
+def test_people_vehicles_and_robots_are_watched_to_the_end(
     fly: Callable[..., Flight], mission: str, side_m: float
 ):
     flight = fly("--mission", mission, "--horizon-au", "2.5", "--speed-up", "5")
