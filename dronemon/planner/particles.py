@@ -22,7 +22,7 @@ from dronemon.planner.kinds import KindBelief
 from dronemon.planner.moving import Walls
 from dronemon.planner.settings import MotionSettings
 from dronemon.planner.speeds import SpeedBelief
-from dronemon.planner.walking import CURVATURE, HEADING, RESTING, SPEED, Stops, X, Y
+from dronemon.planner.walking import CURVATURE, HEADING, KIND, RESTING, SPEED, Stops, X, Y
 from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sensor import PERFECT, Sensor
 from dronemon.sightings import Sight, Sightings
@@ -231,7 +231,8 @@ class ParticleBelief:
     def _miss(self, index: int, look: Measurement, sightings: Sightings) -> None:
         """Remove what would have been seen, as surely as the eye would have seen it."""
         target = self.targets[index]
-        lost = self._refuted(target, look)
+        looked, miss = _stops(_Miss.of(look)), self._sensor.untold
+        lost: IntArray = walking.refuted(target.walkers, looked, miss, self._rng)
         if index >= len(self.targets) - self._num_imagined:
             self.undetected *= 1.0 - len(lost) / self._motion.num_particles
         if len(lost) > (1.0 - _FEW) * self._motion.num_particles and target.sights:
@@ -239,6 +240,26 @@ class ParticleBelief:
             lost = lost[self._walk_anew(index, lost, target.sights[-1], misses) :]
         if len(lost):
             self._copy_survivors(index, lost)
+        self._doubt_trail(target)
+
+    def _doubt_trail(self, target: TargetParticles) -> None:
+        """Replace particles near the target's own trail, as surely as their kind keeps off it.
+
+        Each by one of its own kind: that a place is unlikely for a kind tells nothing against it.
+        """
+        doubts = walking.doubts(
+            target.walkers,
+            self._old_trail(target),
+            self._motion.trail_radius_au,
+            self.kinds.table,
+        )
+        is_lost = (doubts > 0.0) & (self._rng.random(len(doubts)) < doubts)
+        for kind in np.unique(target.walkers[is_lost, KIND]):
+            is_own = target.walkers[:, KIND] == kind
+            left = np.flatnonzero(is_own & ~is_lost)
+            if len(left):
+                lost = np.flatnonzero(is_own & is_lost)
+                target.walkers[lost] = target.walkers[self._rng.choice(left, len(lost))]
 
     def _learn_speed(self, index: int, now: Sight) -> None:
         for then in list(self.targets[index].sights)[-3:]:
@@ -311,20 +332,6 @@ class ParticleBelief:
         off_au = blur_au * self._rng.normal(size=(count, 2))
         walkers[:, :2] = self._arena.clip(np.array(now[1:]) + off_au)
         return walkers, base is not None
-
-    def _refuted(self, target: TargetParticles, look: Measurement) -> IntArray:
-        """Particles that a miss refutes. -> (L,) their indices."""
-        motion = self._motion
-        lost: IntArray = walking.refuted(
-            target.walkers,
-            _stops(_Miss.of(look)),
-            self._old_trail(target),
-            motion.trail_radius_au,
-            self.kinds.table,
-            self._sensor.untold,
-            self._rng,
-        )
-        return lost
 
     def _old_trail(self, target: TargetParticles) -> FloatArray:
         """Where the target was seen, less what it walked last. -> (P, 2) au"""

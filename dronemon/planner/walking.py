@@ -120,23 +120,17 @@ def walk(walkers, duration, kinds, walls, rng):  # type: ignore[no-untyped-def]
         _step(walkers[j], duration, kinds, walls, rng)
 
 
-@njit(cache=True, fastmath=True, nogil=True, forceinline=True)
-def _doubt(walker, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-def]
-    """Doubt of one particle for being near its target's own trail."""
-    doubt = kinds[int(walker[KIND]), 3]
-    for m in range(old_trail.shape[0] if doubt > 0.0 else 0):
-        away = (walker[X] - old_trail[m, 0]) ** 2 + (walker[Y] - old_trail[m, 1]) ** 2
-        if away < trail_radius**2:
-            return doubt
-    return 0.0
-
-
 @njit(cache=True, fastmath=True, nogil=True)
 def doubts(walkers, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-def]
     """Doubt of each particle for being near its target's own trail. -> (M,)"""
-    out = np.empty(walkers.shape[0])
+    out = np.zeros(walkers.shape[0])
     for j in range(walkers.shape[0]):
-        out[j] = _doubt(walkers[j], old_trail, trail_radius, kinds)
+        doubt = kinds[int(walkers[j, KIND]), 3]
+        for m in range(old_trail.shape[0] if doubt > 0.0 else 0):
+            dx, dy = walkers[j, X] - old_trail[m, 0], walkers[j, Y] - old_trail[m, 1]
+            if dx**2 + dy**2 < trail_radius**2:
+                out[j] = doubt
+                break
     return out
 
 
@@ -159,8 +153,8 @@ def _is_shown(dx, dy, hidden):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def refuted(walkers, stops, old_trail, trail_radius, kinds, miss, rng):  # type: ignore[no-untyped-def]
-    """Particles that a miss removes: in view, or (perhaps) on the target's own trail. -> (L,).
+def refuted(walkers, stops, miss, rng):  # type: ignore[no-untyped-def]
+    """Particles that a miss removes: those in view. -> (L,) their indices.
 
     stops: that miss alone
     miss:  chance that the eye misses what is in view
@@ -172,9 +166,6 @@ def refuted(walkers, stops, old_trail, trail_radius, kinds, miss, rng):  # type:
         gone = is_in_view(walkers[j, X], walkers[j, Y], agent_x, agent_y, view, stops.hidden, 0)
         if gone and miss > 0.0:
             gone = rng.random() >= miss
-        if not gone:
-            doubt = _doubt(walkers[j], old_trail, trail_radius, kinds)
-            gone = doubt > 0.0 and rng.random() < doubt
         if gone:
             out[count] = j
             count += 1

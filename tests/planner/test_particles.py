@@ -264,34 +264,40 @@ def test_targets_of_one_speed_are_believed_of_one_and_others_apart():
     assert spread(alike) < 0.1 < 0.3 < spread(apart)
 
 
-def test_a_miss_on_the_old_trail_removes_as_many_as_the_doubt_says():
-    walkers = np.zeros((4000, walking.NUM_ROWS))
-    walkers[:, X], walkers[:, Y] = 0.8, 0.8
-    walkers[2000:, X] = 0.5  # on the trail
-    trail, agent = np.array([[0.5, 0.8]]), np.array([0.1, 0.1])
-    for doubt in (KINDS[0].trail_doubt, 0.0, 1.0):
-        kinds = walking.table_of((replace(KINDS[0], trail_doubt=doubt),))
-        rng = np.random.default_rng(0)
-        gone = walking.refuted(walkers, look_at(agent), trail, 0.05, kinds, 0.0, rng)
-        assert len(gone) / 2000 == pytest.approx(doubt, abs=0.03)
-        assert (gone >= 2000).all()
-    assert KINDS[0].trail_doubt > 0.5
-    assert not any(kind.trail_doubt for kind in KINDS[1:])
+def test_who_tours_is_seldom_on_the_old_trail_and_no_less_likely_to_tour():
+    belief = Told([[0.9, 0.9]])
+    target = belief.particles.targets[0]
+    target.trail.append(Sight(-20.0, 0.5, 0.8))
+    target.walkers[:, SPEED] = 0.0
+    target.walkers[:, :2] = 0.8, 0.8
+    target.walkers[::2, X] = 0.5  # on the trail
+    before = target.walkers.copy()
+    belief.update(miss(0.1, (0.1, 0.1)))
+    after = belief.walkers
+    for kind, asked in enumerate(KINDS):
+        is_of = before[:, KIND] == kind
+        assert (after[:, KIND] == kind).sum() == is_of.sum() > 20
+        left = (after[after[:, KIND] == kind, X] == 0.5).sum() / (before[is_of, X] == 0.5).sum()
+        assert left == pytest.approx(1.0 - asked.trail_doubt, abs=0.2)
+    assert [kind.trail_doubt for kind in KINDS] == [0.9, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_doubt_is_near_the_trail_alone_and_of_the_kinds_that_have_it():
+    walkers = np.zeros((3, walking.NUM_ROWS))
+    walkers[:, :2] = (0.5, 0.8), (0.56, 0.8), (0.5, 0.8)
+    walkers[:, KIND] = 0, 0, 1
+    trail = np.array([[0.2, 0.2], [0.5, 0.8]])
+    doubts = walking.doubts(walkers, trail, 0.05, walking.table_of(KINDS))
+    assert doubts.tolist() == [KINDS[0].trail_doubt, 0.0, 0.0]
+    assert not walking.doubts(walkers, trail[:0], 0.05, walking.table_of(KINDS)).any()
 
 
 def test_an_eye_that_misses_removes_no_more_than_it_would_have_seen():
     walkers = np.zeros((4000, walking.NUM_ROWS))
-    nowhere = np.empty((0, 2))
-    gone = walking.refuted(
-        walkers,
-        look_at([0.05, 0.0]),
-        nowhere,
-        0.1,
-        walking.table_of(KINDS),
-        0.3,
-        np.random.default_rng(0),
-    )
+    rng = np.random.default_rng(0)
+    gone = walking.refuted(walkers, look_at([0.05, 0.0]), 0.3, rng)
     assert len(gone) / 4000 == pytest.approx(0.7, abs=0.03)
+    assert len(walking.refuted(walkers, look_at([0.15, 0.0]), 0.3, rng)) == 0
 
 
 SEEDS = (10_003, 10_005, 10_007)
