@@ -57,7 +57,7 @@ CELL_AU = SENSOR_RADIUS_AU * math.sqrt(math.pi)
 """Side of a cell, so that it is as large as what our planner takes to be in view."""
 STEP_AU = CELL_AU / 2.0
 """Time of a step, so that to fly to the next cell and search it takes as long as to fly there."""
-NUM_PARTICLES, NUM_PLANNED = 4000, 100
+NUM_PARTICLES, NUM_PLANNED, NUM_STEPS = 4000, 100, 40
 KEPT = 0.99
 """Of a particle's place in the cloud from step to step: the person wanders in it."""
 
@@ -191,10 +191,10 @@ class Search:
             SearchSettings(
                 num_drawn=100,
                 num_refined=75,
-                num_steps=40,  # as far as the person may be at first,
+                num_steps=NUM_STEPS,  # as far as the person may be at first,
                 walk_au=1.2,  # and not fewer for a target that is fast: its drift is known
                 num_planned=NUM_PLANNED,
-                num_planned_in_all=NUM_PLANNED,
+                num_places=NUM_STEPS * NUM_PLANNED,
             )
         )
         self._sightings = Sightings(np.full((1, 2), np.nan))

@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--targets", type=int, default=8)
     arguments = parser.parse_args()
     for planner in (SearchPlanner(), RoadmapSearchPlanner()):
-        for speed_ratio in (1 / 30, 1 / 20, 1 / 7):
+        for speed_ratio in (1 / 30, 1 / 20, 1 / 10, 1 / 7):
             timed = Timed(planner)
             with threadpool_limits(1):
                 fly_episode(

@@ -108,11 +108,10 @@ class SearchPlanner:
         -> (N, m, 2), (H, N, m, 2), ratio to the agent's
         """
         speed = self._particles.speed.mean
-        count = self.settings.num_planned_in_all // len(self._particles.targets)
+        num_steps = self.settings.horizon(speed)
+        count = self.settings.num_places // (num_steps * len(self._particles.targets))
         now, later = self._particles.futures(
-            min(self.settings.num_planned, count),
-            self.settings.horizon(speed),
-            MEASUREMENT_INTERVAL_AU,
+            min(self.settings.num_planned, count), num_steps, MEASUREMENT_INTERVAL_AU
         )
         return now, later, speed
 

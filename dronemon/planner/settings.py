@@ -50,10 +50,11 @@ class SearchSettings:
     """Paths drawn at every decision."""
     num_refined: int = 150
     """Small changes of the best path tried after that."""
-    num_planned: int = 40
+    num_planned: int = 80
     """Most particles of each target that paths are scored against."""
-    num_planned_in_all: int = 240
-    """Most particles of all targets; bounds the time of a decision."""
+    num_places: int = 26 * 240
+    """Most places of particles, of all targets at all measurements of the horizon; bounds the time
+    of a decision."""
     discount: float = 0.985
     """Worth of a gain one measurement later."""
     fading: float = 0.985

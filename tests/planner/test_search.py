@@ -15,7 +15,7 @@ from dronemon.planner.search import (
     RoadmapSearchPlanner,
     SearchPlanner,
 )
-from dronemon.planner.settings import SearchSettings
+from dronemon.planner.settings import MotionSettings, SearchSettings
 from dronemon.roadmap import Roadmap
 from dronemon.sightings import Sightings
 from dronemon.world import Instance, measure, sample_leg
@@ -262,6 +262,25 @@ def test_no_worth_at_all_is_an_error_and_not_a_flight_to_the_corner():
     planner = SearchPlanner(replace(QUICK, unfound_weight=float("nan")))
     with pytest.raises(PlannerError, match="no path"):
         fly(planner, prior="number", length_au=1.0)
+
+
+@pytest.mark.parametrize("num_targets", [1, 4, 20, 50])
+@pytest.mark.parametrize("speed", [0.03, 0.28])
+def test_what_paths_are_scored_against_is_bounded(num_targets: int, speed: float):
+    settings = SearchSettings(motion=MotionSettings(slowest=speed, fastest=speed))
+    scored = []
+
+    class Noted(SearchPlanner):
+        def _foreseen(self, time_au):
+            foreseen = super()._foreseen(time_au)
+            scored.append(foreseen[1].shape[:3])
+            return foreseen
+
+    fly(Noted(settings), num_targets=num_targets, length_au=0.1)
+    steps, targets, each = scored[0]
+    assert (steps, targets) == (settings.horizon(speed), num_targets)
+    most = settings.num_places / (steps * targets)
+    assert each == min(settings.num_planned, int(most)) >= 4
 
 
 def test_all_walks_are_compiled_before_take_off():
