@@ -32,7 +32,7 @@ VEHICLES = (
 )
 APPEARANCES = (*ANIMALS, *PEOPLE, *VEHICLES)
 """What the simulator draws and the drawn detector tells apart."""
-Layout = Literal["yolov5", "yolov8", "yolov10", "rtdetr", "detr"]
+Layout = Literal["yolov5", "yolov8", "yolov10", "rtdetr", "rtdetr-top", "detr"]
 """How a network's outputs hold boxes: see `dronemon.vision.layouts`."""
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 

@@ -58,6 +58,9 @@ class Squares(nn.Module):
                 return torch.cat([centres - half, centres + half, score, number.float()], dim=2)
             case "rtdetr":
                 return torch.cat([self.shares, chances], dim=2)
+            case "rtdetr-top":
+                score, number = chances.max(dim=2, keepdim=True)
+                return torch.cat([self.shares, score, number.float()], dim=2)
         return (chances / (1.0 - chances)).log(), self.shares + 0.0 * chances[..., :1]
 
 

@@ -44,10 +44,10 @@ class BoxDetector:
         self._watched = [self._names.index(name) for name in watched]
         blank = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
         try:
-            shapes = [output.shape for output in self._network.run(self._prepared(blank)[0])]
+            outputs = self._network.run(self._prepared(blank)[0])
         except CameraError as exc:
             raise OptionError(f"{exc}; does detector.input_px suit the network?") from exc
-        self._layout = layout_of(shapes, len(self._names), of.layout)
+        self._layout = layout_of(outputs, len(self._names), of.layout)
 
     def _input(self, path: Path) -> tuple[tuple[int, int], bool]:
         """Width and height of the input, and whether it takes one channel."""

@@ -1,14 +1,16 @@
 """What networks put out: boxes and scores, in the layouts of the YOLO and DETR families.
 
-A layout is told from the shapes where they leave no doubt. n boxes, C classes:
+A layout is told from a first output where that leaves no doubt. n boxes, C classes:
 
-    yolov5   (1, n, 5 + C)             also v6, v7: centre, size, chance of a thing, of each class
-    yolov8   (1, 4 + C, n)             also v9, v11: centre, size, chance of each class
-    yolov10  (1, n, 6)                 also any file that chooses among boxes by itself: corners,
-                                       score, class
-    rtdetr   (1, n, 4 + C)             centre and size as shares of the input, chance of each class
-    detr     (1, n, K) and (1, n, 4)   logits of K > C classes, the last of which is "none", or of
-                                       K = C by themselves; centre and size as shares
+    yolov5      (1, n, 5 + C)            also v6, v7: centre, size, chance of a thing, of each class
+    yolov8      (1, 4 + C, n)            also v9, v11: centre, size, chance of each class
+    yolov10     (1, n, 6)                also any file that chooses among boxes by itself: corners,
+                                         score, class
+    rtdetr      (1, n, 4 + C)            centre and size as shares of the input, chance of each
+                                         class
+    rtdetr-top  (1, n, 6)                centre and size as shares, score, class
+    detr        (1, n, K) and (1, n, 4)  logits of K > C classes, the last of which is "none", or of
+                                         K = C by themselves; centre and size as shares
 """
 
 from __future__ import annotations
@@ -26,21 +28,26 @@ from dronemon.vision.boxes import Boxes
 
 _FEWEST = 10
 """Boxes that every network puts out, at least."""
+_MOST_SHARE = 2.0
+"""Of the input's size that boxes reach; in pixels they reach further."""
 
 
 def layout_of(
-    shapes: Sequence[tuple[int, ...]], num_classes: int, given: Layout | None = None
+    outputs: Sequence[NDArray[np.floating[Any]]], num_classes: int, given: Layout | None = None
 ) -> Layout:
-    """The layout of outputs of these shapes: the one given, if it fits.
+    """The layout of outputs like these: the one given, if it fits.
 
     Raises OptionError if none fits, or several do.
     """
+    shapes = [of.shape for of in outputs]
     fewest = 0 if given else _FEWEST  # some put out none where they find nothing
     fitting = [
         layout
         for layout in LAYOUTS
         if given in (None, layout) and _fits(layout, shapes, num_classes, fewest)
     ]
+    if not given and {"yolov10", "rtdetr-top"} <= set(fitting):
+        fitting.remove("yolov10" if _are_shares(outputs[0][0, :, :4]) else "rtdetr-top")
     if len(fitting) == 1:
         return fitting[0]
     told = " and ".join(str(shape) for shape in shapes)
@@ -56,6 +63,11 @@ def layout_of(
     )
 
 
+def _are_shares(places: NDArray[np.floating[Any]]) -> bool:
+    """Whether boxes are told as shares of the input; those that are all 0 fill up a list."""
+    return bool(0.0 < np.abs(places).max() <= _MOST_SHARE)
+
+
 def _fits(layout: Layout, shapes: Sequence[tuple[int, ...]], num_classes: int, fewest: int) -> bool:
     if any(len(shape) != 3 or shape[0] != 1 for shape in shapes):
         return False
@@ -68,7 +80,7 @@ def _fits(layout: Layout, shapes: Sequence[tuple[int, ...]], num_classes: int, f
     _, rows, columns = shapes[0]
     if layout == "yolov8":
         return rows == 4 + num_classes and columns >= fewest
-    width = {"yolov5": 5 + num_classes, "yolov10": 6, "rtdetr": 4 + num_classes}[layout]
+    width = {"yolov5": 5 + num_classes, "rtdetr": 4 + num_classes}.get(layout, 6)
     return columns == width and rows >= fewest
 
 
@@ -93,6 +105,9 @@ def boxes_of(
             return Boxes(rows[:, :4], rows[:, 4], rows[:, 5].round().astype(np.int64))
         case "rtdetr":
             return _likeliest(shares * rows[:, :4], rows[:, 4:])
+        case "rtdetr-top":
+            corners_px = _corners(shares * rows[:, :4])
+            return Boxes(corners_px, rows[:, 4], rows[:, 5].round().astype(np.int64))
         case "detr":
             logits, places = sorted((of[0] for of in outputs), key=lambda of: of.shape[1] == 4)
             is_none_last = logits.shape[1] > num_classes
@@ -102,6 +117,11 @@ def boxes_of(
 
 def _likeliest(places_px: FloatArray, chances: FloatArray) -> Boxes:
     """Each box as what it is most likely of. places_px: (n, 4) centre, size; chances: (n, C)"""
+    classes = chances.argmax(axis=1).astype(np.int64)
+    return Boxes(_corners(places_px), chances.max(axis=1), classes)
+
+
+def _corners(places_px: FloatArray) -> FloatArray:
+    """Left, top, right, bottom of centres and sizes. (n, 4) -> (n, 4)"""
     half = 0.5 * places_px[:, 2:]
-    corners = np.concatenate([places_px[:, :2] - half, places_px[:, :2] + half], axis=1)
-    return Boxes(corners, chances.max(axis=1), chances.argmax(axis=1).astype(np.int64))
+    return np.concatenate([places_px[:, :2] - half, places_px[:, :2] + half], axis=1)

@@ -36,6 +36,8 @@ def written(layout: str, num_classes: int = NUM_CLASSES) -> list[FloatArray]:
             return [np.column_stack([CORNERS_PX, SCORES, classes])[None]]
         case "rtdetr":
             return [np.concatenate([shares, chances], axis=1)[None]]
+        case "rtdetr-top":
+            return [np.column_stack([shares, SCORES, classes])[None]]
         case "detr":
             return [np.log(chances / (1.0 - chances))[None], shares[None]]
     none = 1.0 - SCORES[:, None]
@@ -47,7 +49,7 @@ def written(layout: str, num_classes: int = NUM_CLASSES) -> list[FloatArray]:
 @pytest.mark.parametrize("layout", [*LAYOUTS, "detr with none"])
 def test_a_layout_is_told_from_its_shapes_and_read(layout: str) -> None:
     outputs = written(layout)
-    found = layout_of([of.shape for of in outputs], NUM_CLASSES)
+    found = layout_of(outputs, NUM_CLASSES)
     assert found == layout.split()[0]
     boxes = boxes_of(found, outputs, NUM_CLASSES, SIZE_PX)
     np.testing.assert_allclose(boxes.corners_px, CORNERS_PX, atol=1e-9)
@@ -58,7 +60,7 @@ def test_a_layout_is_told_from_its_shapes_and_read(layout: str) -> None:
 @pytest.mark.parametrize(("num_classes", "either"), [(1, "yolov5 or yolov10"), (2, "yolov10 or")])
 def test_what_may_be_two_layouts_is_asked_for(num_classes: int, either: str) -> None:
     with pytest.raises(OptionError, match=f"{either}.*detector.layout"):
-        layout_of([written("yolov10", num_classes)[0].shape], num_classes)
+        layout_of(written("yolov10", num_classes), num_classes)
 
 
 @pytest.mark.parametrize(
@@ -76,12 +78,16 @@ def test_what_may_be_two_layouts_is_asked_for(num_classes: int, either: str) -> 
 )
 def test_other_shapes_are_refused(shapes: list[tuple[int, ...]]) -> None:
     with pytest.raises(OptionError, match="is not any of yolov5"):
-        layout_of(shapes, NUM_CLASSES)
+        layout_of(list(map(np.ones, shapes)), NUM_CLASSES)
 
 
 def test_a_layout_that_is_given_need_not_show_how_many_boxes_it_has() -> None:
     shapes = [(1, 0, 6)]
     with pytest.raises(OptionError, match=r"say detector.layout"):
-        layout_of(shapes, NUM_CLASSES)
-    assert layout_of(shapes, NUM_CLASSES, "yolov10") == "yolov10"
+        layout_of(list(map(np.ones, shapes)), NUM_CLASSES)
+    assert layout_of(list(map(np.ones, shapes)), NUM_CLASSES, "yolov10") == "yolov10"
     assert len(boxes_of("yolov10", [np.zeros((1, 0, 6))], NUM_CLASSES, SIZE_PX).scores) == 0
+
+
+def test_a_list_filled_up_with_nothing_is_of_corners() -> None:
+    assert layout_of([np.zeros((1, 300, 6))], NUM_CLASSES) == "yolov10"
