@@ -43,7 +43,7 @@ from dronemon.vision.boxed import BoxDetector
 from dronemon.vision.detector import Detector
 from dronemon.vision.drawn import DrawnDetector
 from dronemon.vision.prototypes import COAT_COLOURS
-from sim.camera import encode
+from sim.camera import decode, encode
 from sim.random_scene import random_scene
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
@@ -162,7 +162,7 @@ class Tally:
                 yield f"    {name}: {num_found} of {self.num_whole[name]}"
 
 
-def make(network: Path | None, appearances: tuple[str, ...]) -> Detector:
+def make_detector(network: Path | None, appearances: tuple[str, ...]) -> Detector:
     """The detector that is measured."""
     if network is None:
         return DrawnDetector(appearances, CAMERA, MIN_SCORE)
@@ -172,8 +172,7 @@ def make(network: Path | None, appearances: tuple[str, ...]) -> Detector:
 
 def look(tally: Tally, scene: Scene, renderer: Renderer, detector: Detector, quality: int) -> None:
     """Take one picture, and count what is found in it."""
-    jpeg = np.frombuffer(encode(renderer.render(scene), quality), np.uint8)
-    image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
+    image = decode(encode(renderer.render(scene), quality))
     received_s = time.thread_time()
     detections = detector.detect(image, scene.pose, scene.frame.ground_down_m)
     tally.detect_ms.append(1e3 * (time.thread_time() - received_s))
@@ -274,20 +273,24 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, help="default: 500, or 1000 with --conditions")
     parser.add_argument("--of", choices=[*GROUPS], default="animals", help="default: animals")
     parser.add_argument("--height-m", type=float, help="default: 35 +-20 %%")
-    parser.add_argument("--network", type=Path, help="an ONNX file, such as models/eyes.onnx")
+    parser.add_argument("--network", type=Path, help="an ONNX file, in place of the drawn detector")
     modes = parser.add_mutually_exclusive_group()
     modes.add_argument("--measure", action="store_true", help="print the prototypes instead")
     modes.add_argument("--conditions", action="store_true", help="print a table of all, instead")
     options = parser.parse_args()
+    if options.measure and options.network:
+        parser.error("--measure is of the drawn detector; leave --network out")
     cv2.setNumThreads(1)
     pictures, of = options.pictures or 500, GROUPS[options.of]
     if options.conditions:
-        compare(make(options.network, APPEARANCES), options.seed or 0, options.pictures or 1000)
+        compare(
+            make_detector(options.network, APPEARANCES), options.seed or 0, options.pictures or 1000
+        )
     elif options.measure:
         seed = 10001 if options.seed is None else options.seed
         measure(seed, pictures, of, options.height_m)
     else:
-        detector = make(options.network, of)
+        detector = make_detector(options.network, of)
         benchmark(detector, options.seed or 0, pictures, of, options.height_m)
 
 

@@ -66,7 +66,7 @@ async def _run(mission: Mission, truth: TruthFile, options: argparse.Namespace) 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     world = World(mission, options.walked)
-    for look in set(world.looks):
+    for look in set(world.looks) if mission.camera.is_simulated else ():
         draw_sprites(look)  # half a second each, which no picture is to wait for
     model, seed = mission.camera.model, mission.simulation.seed
     async with contextlib.AsyncExitStack() as stack:

@@ -154,3 +154,10 @@ def encode(image: ImageArray, quality: int) -> bytes:
     is_encoded, jpeg = cv2.imencode(".jpg", image, options)
     assert is_encoded
     return jpeg.tobytes()
+
+
+def decode(jpeg: bytes) -> ImageArray:
+    """The picture that came over the wire. -> (height, width, 3) uint8 BGR"""
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image, np.uint8)

@@ -13,8 +13,8 @@ from sim.scene import Animal, Scene
 from sim.sprites import drawn_size_m
 
 SIDE_M = 200.0
-HEIGHT_M = 35.0
-MAX_TILT_RAD = math.radians(15.0)
+_HEIGHT_M = 35.0
+_MAX_TILT_RAD = math.radians(15.0)
 
 
 def random_scene(
@@ -24,10 +24,10 @@ def random_scene(
     appearances: tuple[str, ...] = ANIMALS,
     reach: float = 1.0,
     num_near: int = 1,
-    max_tilt_rad: float = MAX_TILT_RAD,
+    max_tilt_rad: float = _MAX_TILT_RAD,
 ) -> Scene:
     """A scene with `num_near` targets within `reach` sensor radii and the others anywhere."""
-    side_m = SIDE_M if height_m is None else SIDE_M * height_m / HEIGHT_M
+    side_m = SIDE_M if height_m is None else SIDE_M * height_m / _HEIGHT_M
     frame = AreaFrame(
         centre_ned_m=(rng.uniform(-300.0, 300.0), rng.uniform(-300.0, 300.0)),
         ground_down_m=rng.uniform(-5.0, 5.0),
@@ -38,7 +38,7 @@ def random_scene(
     north_m, east_m = frame.au_to_ned(rng.uniform(0.0, 1.0, 2))
     tilt_rad, towards = max_tilt_rad * math.sqrt(rng.uniform()), rng.uniform(-math.pi, math.pi)
     if height_m is None:
-        height_m = HEIGHT_M * rng.uniform(0.8, 1.2)
+        height_m = _HEIGHT_M * rng.uniform(0.8, 1.2)
     pose = Pose(
         time_s=rng.uniform(0.0, 1000.0),
         position_ned_m=(north_m, east_m, frame.ground_down_m - height_m),
@@ -65,12 +65,12 @@ def random_scene(
             heading_rad=rng.uniform(-math.pi, math.pi),
             walked_m=rng.uniform(0.0, 100.0),
         )
-        if not any(touch(animal, other) for other in animals):
+        if not any(_touch(animal, other) for other in animals):
             animals.append(animal)
     return Scene(pose=pose, frame=frame, animals=tuple(animals))
 
 
-def touch(one: Animal, other: Animal) -> bool:
+def _touch(one: Animal, other: Animal) -> bool:
     """Whether two may be drawn one over the other."""
     lengths_m = [drawn_size_m(animal.appearance)[0] for animal in (one, other)]
     return math.dist(one.position_ned_m, other.position_ned_m) < 0.5 * sum(lengths_m)

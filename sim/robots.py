@@ -8,6 +8,7 @@ from typing import Self
 import cv2
 import numpy as np
 
+from dronemon.errors import OptionError
 from dronemon.types import FloatArray
 from dronemon.vision.markers import dictionary_of, number_of
 from sim.painting import SPRITE_PX_PER_M, Canvas, Layer
@@ -36,7 +37,10 @@ class Robot:
     @classmethod
     def of(cls, look: str) -> Self:
         """The robot of a look, as `look_of` makes them. Raises OptionError for a strange one."""
-        family, number, side_m = look.split("/")
+        parts = look.split("/")
+        if len(parts) != len(("family", "number", "side_m")):
+            raise OptionError(f"the simulator draws no {look!r}")
+        family, number, side_m = parts
         dictionary = dictionary_of(family)
         count = dictionary.markerSize + 2
         marker = cv2.aruco.generateImageMarker(dictionary, number_of(number, family), count)

@@ -81,8 +81,10 @@ def _figure(appearance: str) -> Figure:
 def draw_sprites(appearance: str) -> tuple[Sprite, ...]:
     """The sprites of one stride."""
     figure = _figure(appearance)
-    px_per_m = figure.px_per_m * figure.scale
-    canvas = Canvas.around(figure.centre_x_m, figure.half_length_m, figure.half_breadth_m, px_per_m)
+    px_per_unit = figure.px_per_m * figure.scale
+    canvas = Canvas.around(
+        figure.centre_x_m, figure.half_length_m, figure.half_breadth_m, px_per_unit
+    )
     top_m = figure.top_m * figure.scale
     phases = [i / figure.num_phases for i in range(figure.num_phases)]
     parts = [figure.paint(canvas, phase) for phase in phases]

@@ -40,7 +40,7 @@ AIRBORNE_M = 2.0
 def _look(mission: Mission, target: Target) -> str:
     """What a target is drawn as."""
     of = mission.detector
-    if of.kind != "markers":
+    if of.kind != "markers" or not mission.camera.is_simulated:
         return target.appearance
     assert of.side_m is not None  # mission_problems
     return look_of(of.family, target.appearance, of.side_m)
@@ -49,7 +49,7 @@ def _look(mission: Mission, target: Target) -> str:
 class World:
     """Where the targets of a mission are at any time since the first picture in the air.
 
-    looks: what each target is drawn as
+    looks: what each target is drawn as, where pictures are drawn at all
     """
 
     def __init__(self, mission: Mission, walked_s: float = 0.0) -> None:

@@ -116,7 +116,10 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
         yield ("detector", "confusion"), f"kind drawn finds no {strange[0]!r}"
     is_simulated, is_marked = mission.camera.is_simulated, detector.kind == "markers"
     if is_simulated and is_marked and detector.side_m is None:
-        yield ("detector", "side_m"), "is missing; it says how large the simulator draws them"
+        yield (
+            ("detector", "side_m"),
+            "is missing; give the side of the markers' black square, in m, for the simulator",
+        )
     for target in mission.targets:
         name = target.appearance
         is_drawn = detector.kind == "drawn" or (is_simulated and not is_marked)

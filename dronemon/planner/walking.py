@@ -40,7 +40,8 @@ class Kind:
                    root of the length
     curvature:     least and greatest turn per length walked, rad/au, to either side
     rests_per_au:  how often it stops per length walked; it rests as long as it walks, in the mean
-    trail_doubt:   chance that a particle which comes near its target's own trail is none of them
+    trail_doubt:   chance, at every miss, that a particle near its target's own trail is replaced by
+                   another of its kind
     """
 
     name: str
@@ -121,14 +122,17 @@ def walk(walkers, duration, kinds, walls, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def doubts(walkers, old_trail, trail_radius, kinds):  # type: ignore[no-untyped-def]
-    """Doubt of each particle for being near its target's own trail. -> (M,)"""
+def doubts(walkers, old_trail_au, trail_radius_au, kinds):  # type: ignore[no-untyped-def]
+    """Doubt of each particle for being near its target's own trail. -> (M,)
+
+    walkers: (M, NUM_ROWS); old_trail_au: (P, 2); kinds: as `table_of`
+    """
     out = np.zeros(walkers.shape[0])
     for j in range(walkers.shape[0]):
         doubt = kinds[int(walkers[j, KIND]), 3]
-        for m in range(old_trail.shape[0] if doubt > 0.0 else 0):
-            dx, dy = walkers[j, X] - old_trail[m, 0], walkers[j, Y] - old_trail[m, 1]
-            if dx**2 + dy**2 < trail_radius**2:
+        for m in range(old_trail_au.shape[0] if doubt > 0.0 else 0):
+            dx, dy = walkers[j, X] - old_trail_au[m, 0], walkers[j, Y] - old_trail_au[m, 1]
+            if dx**2 + dy**2 < trail_radius_au**2:
                 out[j] = doubt
                 break
     return out
@@ -156,8 +160,9 @@ def _is_shown(dx, dy, hidden):  # type: ignore[no-untyped-def]
 def refuted(walkers, stops, miss, rng):  # type: ignore[no-untyped-def]
     """Particles that a miss removes: those in view. -> (L,) their indices.
 
-    stops: that miss alone
-    miss:  chance that the eye misses what is in view
+    walkers: (M, NUM_ROWS)
+    stops:   that miss alone
+    miss:    chance that the eye misses what is in view
     """
     _, agent_x, agent_y, view = stops.looks[0]
     out = np.empty(walkers.shape[0], np.int64)

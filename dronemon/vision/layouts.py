@@ -28,6 +28,7 @@ from dronemon.vision.boxes import Boxes
 
 _FEWEST = 10
 """Boxes that every network puts out, at least."""
+_IN_SHARES: tuple[Layout, ...] = ("rtdetr", "rtdetr-top")
 _MOST_SHARE = 2.0
 """Of the input's size that boxes reach; in pixels they reach further."""
 
@@ -46,8 +47,8 @@ def layout_of(
         for layout in LAYOUTS
         if given in (None, layout) and _fits(layout, shapes, num_classes, fewest)
     ]
-    if not given and {"yolov10", "rtdetr-top"} <= set(fitting):
-        fitting.remove("yolov10" if _are_shares(outputs[0][0, :, :4]) else "rtdetr-top")
+    if not given and len(outputs) == 1:
+        fitting = _of_such_places(fitting, outputs[0])
     if len(fitting) == 1:
         return fitting[0]
     told = " and ".join(str(shape) for shape in shapes)
@@ -63,9 +64,14 @@ def layout_of(
     )
 
 
-def _are_shares(places: NDArray[np.floating[Any]]) -> bool:
-    """Whether boxes are told as shares of the input; those that are all 0 fill up a list."""
-    return bool(0.0 < np.abs(places).max() <= _MOST_SHARE)
+def _of_such_places(layouts: list[Layout], output: NDArray[np.floating[Any]]) -> list[Layout]:
+    """The layouts of one output that have boxes in shares, or in pixels, as it has."""
+    kinds = {layout in _IN_SHARES for layout in layouts}
+    if len(kinds) < len((True, False)):
+        return layouts
+    reach = np.abs(output[0, :, :4]).max()  # yolov8, which has boxes in columns, fits alone
+    are_shares = 0.0 < reach <= _MOST_SHARE  # boxes that are all 0 fill up a list of corners
+    return [layout for layout in layouts if (layout in _IN_SHARES) == are_shares]
 
 
 def _fits(layout: Layout, shapes: Sequence[tuple[int, ...]], num_classes: int, fewest: int) -> bool:

@@ -15,6 +15,7 @@ from dronemon.mission.faults import KINDS
 from dronemon.mission.template import mission_template
 from dronemon.types import APPEARANCES
 from dronemon.vision.view import needed_altitude_m
+from sim.world import World
 
 ROOT = Path(__file__).parents[2]
 ANIMALS = (ROOT / "missions" / "animals.yaml").read_text().split("\n", 1)[1]
@@ -437,3 +438,22 @@ def test_a_wrong_fault_is_named_with_its_line(tmp_path: Path):
     message = _error(tmp_path, text)
     assert "simulation.faults" in message
     assert "'storm@4' is not KIND[=VALUE]" in message
+
+
+MARKED = """
+detector: {kind: markers, family: 4x4_50, SIDE}
+targets:
+  - {name: Rover, appearance: "7"}
+"""
+
+
+def test_the_simulator_draws_markers_whose_side_is_known(tmp_path: Path):
+    path = tmp_path / "m.yaml"
+    path.write_text(MARKED.replace("SIDE", "side_m: 1.5"))
+    mission = load_mission(path).mission
+    assert World(mission).looks == ["4x4_50/7/1.5"]
+    message = _error(tmp_path, MARKED.replace(", SIDE", ""))
+    assert message.startswith(":2: detector.side_m: is missing; give the side")
+    path.write_text(MARKED.replace(", SIDE", "") + "camera: {url: '0'}\n")
+    mission = load_mission(path).mission  # of markers that lie there
+    assert World(mission).looks == ["7"]

@@ -57,10 +57,18 @@ def test_a_layout_is_told_from_its_shapes_and_read(layout: str) -> None:
     np.testing.assert_array_equal(boxes.classes, CLASSES)
 
 
-@pytest.mark.parametrize(("num_classes", "either"), [(1, "yolov5 or yolov10"), (2, "yolov10 or")])
-def test_what_may_be_two_layouts_is_asked_for(num_classes: int, either: str) -> None:
+@pytest.mark.parametrize(
+    ("layout", "num_classes", "either"),
+    [("yolov10", 1, "yolov5 or yolov10"), ("rtdetr-top", 2, "rtdetr or rtdetr-top")],
+)
+def test_what_may_be_two_layouts_is_asked_for(layout: str, num_classes: int, either: str) -> None:
     with pytest.raises(OptionError, match=f"{either}.*detector.layout"):
-        layout_of(written("yolov10", num_classes), num_classes)
+        layout_of(written(layout, num_classes), num_classes)
+
+
+@pytest.mark.parametrize(("layout", "num_classes"), [("yolov10", 2), ("rtdetr-top", 1)])
+def test_pixels_are_told_from_shares(layout: str, num_classes: int) -> None:
+    assert layout_of(written(layout, num_classes), num_classes) == layout
 
 
 @pytest.mark.parametrize(

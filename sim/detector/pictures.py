@@ -15,31 +15,34 @@ from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
 from dronemon.frames import ground_to_pixel
+from dronemon.mission.camera import Camera
 from dronemon.mission.schema import Simulation
 from dronemon.types import (
     ANIMALS,
     APPEARANCES,
     PEOPLE,
     VEHICLES,
-    CameraModel,
     FloatArray,
     ImageArray,
 )
-from sim.camera import encode
-from sim.eyes.network import STEP_PX, box_in_cells
+from sim.camera import decode, encode
+from sim.detector.network import STEP_PX, box_rows
 from sim.random_scene import random_scene
 from sim.renderer import Renderer
 from sim.scene import Animal, Scene
 from sim.sprites import drawn_size_m
 
-CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
+CAMERA = Camera().model
+"""A mission's default."""
 FIRST_SEED = 20000
 """Of the worlds; those of `benchmarks/vision.py` are others."""
 LOWEST_M, HIGHEST_M = 16.0, 100.0
-MOST_M = {ANIMALS: 58.0, PEOPLE: 35.0, VEHICLES: math.inf}
+HIGHEST_OF_GROUP_M = {ANIMALS: 58.0, PEOPLE: 35.0, VEHICLES: math.inf}
 """Heights up to which a group shows enough to be told."""
 _PICTURES_PER_WORLD = 40
 _LEAST_SIDE_PX = 12.0
+_LEAST_SIGMA_PX, _SIGMA = 0.6 * STEP_PX, 0.15
+"""Width of a target's heat: at least, and over the smaller side of its box."""
 _MAX_TILT_RAD = math.radians(25.0)
 
 
@@ -48,7 +51,7 @@ class Labelled(NamedTuple):
 
     picture: (3, height, width)         RGB from 0 to 1
     heat:    (C, height / 8, width / 8) 1 at a target's centre, falling to 0 about it
-    boxes:   (4, height / 8, width / 8) the nearest target's
+    boxes:   (4, height / 8, width / 8) the hottest target's, 0 where there is none
     """
 
     picture: Tensor
@@ -93,8 +96,7 @@ def _world(rng: np.random.Generator, seed: int) -> tuple[Renderer, int]:
 
 def _labelled(rng: np.random.Generator, renderer: Renderer, quality: int) -> Labelled:
     scene = _scene(rng)
-    jpeg = np.frombuffer(encode(renderer.render(scene), quality), np.uint8)
-    image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
+    image = decode(encode(renderer.render(scene), quality))
     heat, boxes = labels(scene)
     return Labelled(_shown(image, rng), heat, boxes)
 
@@ -107,9 +109,11 @@ def _shown(image: ImageArray, rng: np.random.Generator) -> Tensor:
 
 
 def _scene(rng: np.random.Generator) -> Scene:
-    """All that a height shows, twice, near a drone that moves and turns."""
+    """Some or many of all that a height shows, near a drone that moves and turns."""
     height_m = math.exp(rng.uniform(math.log(LOWEST_M), math.log(HIGHEST_M)))
-    shown = [name for group, most_m in MOST_M.items() if height_m < most_m for name in group]
+    shown = [
+        name for group, most_m in HIGHEST_OF_GROUP_M.items() if height_m < most_m for name in group
+    ]
     number = int(rng.integers(2, 2 * len(shown)))
     scene = random_scene(
         rng,
@@ -134,23 +138,18 @@ def labels(scene: Scene) -> tuple[Tensor, Tensor]:
     columns, rows = CAMERA.width_px // STEP_PX, CAMERA.height_px // STEP_PX
     heat, boxes = torch.zeros(len(APPEARANCES), rows, columns), torch.zeros(4, rows, columns)
     hottest = torch.zeros(rows, columns)
-    v, u = torch.meshgrid(torch.arange(rows) + 0.5, torch.arange(columns) + 0.5, indexing="ij")
+    down, across = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
     for animal in scene.animals:
-        centre_px, sides_px = _box(scene, animal)
-        if not (0.0 < centre_px[0] < CAMERA.width_px and 0.0 < centre_px[1] < CAMERA.height_px):
+        (u, v), (width_px, height_px) = (part.tolist() for part in _box(scene, animal))
+        if not (0.0 < u < CAMERA.width_px and 0.0 < v < CAMERA.height_px):
             continue
-        du, dv = centre_px[0] - STEP_PX * u, centre_px[1] - STEP_PX * v
-        width_px, height_px = (torch.full_like(u, float(side)) for side in sides_px)
-        sigma_px = max(0.6 * STEP_PX, 0.15 * float(sides_px.min()))
-        own = torch.exp(-0.5 * (du**2 + dv**2) / sigma_px**2)
-        cell = int(centre_px[1] // STEP_PX), int(centre_px[0] // STEP_PX)
-        own[cell] = 1.0
+        right_px, down_px = u - STEP_PX * (across + 0.5), v - STEP_PX * (down + 0.5)
+        sigma_px = max(_LEAST_SIGMA_PX, _SIGMA * min(width_px, height_px))
+        own = torch.exp(-0.5 * (right_px**2 + down_px**2) / sigma_px**2)
+        own[int(v // STEP_PX), int(u // STEP_PX)] = 1.0
         number = APPEARANCES.index(animal.appearance)
         heat[number] = torch.maximum(heat[number], own)
-        is_nearest = own > hottest
-        boxes[:, is_nearest] = box_in_cells(du, dv, width_px, height_px).movedim(-1, 0)[
-            :, is_nearest
-        ]
+        boxes = torch.where(own > hottest, box_rows(right_px, down_px, width_px, height_px), boxes)
         hottest = torch.maximum(hottest, own)
     return heat, boxes
 
