@@ -41,7 +41,7 @@ class Boxes(NamedTuple):
         return cls(np.concatenate(corners), np.concatenate(scores), np.concatenate(classes))
 
     def without_doubles(self, most_shared: float) -> Boxes:
-        """One box for each thing: of two of a class that share more than that, the surer.
+        """One box for each thing: of two that share more than that, of whatever class, the surer.
 
         most_shared: their common area over that of both together
         """
@@ -49,9 +49,7 @@ class Boxes(NamedTuple):
             return self
         places, ends = self.corners_px[:, :2], self.corners_px[:, 2:]
         sides = np.concatenate([places, ends - places], axis=1)
-        kept = cv2.dnn.NMSBoxesBatched(
-            sides.tolist(), self.scores.tolist(), self.classes.tolist(), 0.0, most_shared
-        )
+        kept = cv2.dnn.NMSBoxes(sides.tolist(), self.scores.tolist(), 0.0, most_shared)
         return self.chosen(np.array(kept, dtype=np.int64).reshape(-1))
 
 

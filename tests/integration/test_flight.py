@@ -142,7 +142,7 @@ def test_a_flight_at_the_edge_of_the_map(
     summary = flight.summary()
     assert summary["outcome"] == "completed"
     assert summary["landing_error_m"] < 3.0
-    judge_pictures(flight.summary(), flight.lines("observations"), due=10)
+    judge_pictures(summary, flight.lines("observations"), due=10)
 
 
 def _errors_m(flight: Flight, side_m: float) -> list[float]:
@@ -302,6 +302,6 @@ def test_a_vehicle_at_a_url_with_animals_that_follow_it(
     assert code == 0, output
     summary = flight.summary()
     assert summary["is_landed"]
-    judge_pictures(flight.summary(), flight.lines("observations"), due=10)
+    judge_pictures(summary, flight.lines("observations"), due=10)
     assert summary["unc"] is not None
     assert vehicle.scenes() == []  # its own camera was not asked

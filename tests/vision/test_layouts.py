@@ -7,6 +7,7 @@ import pytest
 
 from dronemon.errors import OptionError
 from dronemon.types import LAYOUTS, FloatArray
+from dronemon.vision.boxes import Boxes
 from dronemon.vision.layouts import boxes_of, layout_of
 
 SIZE_PX = (320, 256)
@@ -99,3 +100,14 @@ def test_a_layout_that_is_given_need_not_show_how_many_boxes_it_has() -> None:
 
 def test_a_list_filled_up_with_nothing_is_of_corners() -> None:
     assert layout_of([np.zeros((1, 300, 6))], NUM_CLASSES) == "yolov10"
+
+
+def test_two_boxes_of_one_thing_are_one_find_the_surer_whatever_their_classes() -> None:
+    corners_px = np.array([[10.0, 10, 50, 50], [12, 10, 52, 50], [100, 10, 140, 50]])
+    boxes = Boxes(corners_px, np.array([0.6, 0.9, 0.7]), np.array([0, 1, 0]))
+    left = boxes.without_doubles(0.5)
+    assert sorted(zip(left.scores.tolist(), left.classes.tolist(), strict=True)) == [
+        (0.7, 0),
+        (0.9, 1),
+    ]
+    assert len(boxes.without_doubles(0.95).scores) == 3
