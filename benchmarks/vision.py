@@ -25,6 +25,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dronemon.errors import OptionError
 from dronemon.frames import ground_to_pixel, pixel_to_ground
 from dronemon.mission.detector import DetectorSection
 from dronemon.mission.schema import Simulation
@@ -167,7 +168,10 @@ def make_detector(network: Path | None, appearances: tuple[str, ...]) -> Detecto
     if network is None:
         return DrawnDetector(appearances, CAMERA, MIN_SCORE)
     section = DetectorSection(kind="onnx", file=str(network), min_score=MIN_SCORE)
-    return BoxDetector(section, appearances, CAMERA)
+    try:
+        return BoxDetector(section, appearances, CAMERA)
+    except OptionError as exc:
+        raise SystemExit(f"--network: {exc}") from exc
 
 
 def look(tally: Tally, scene: Scene, renderer: Renderer, detector: Detector, quality: int) -> None:
@@ -280,6 +284,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.measure and options.network:
         parser.error("--measure is of the drawn detector; leave --network out")
+    if min(options.pictures or 1, options.height_m or 1.0) <= 0 or (options.seed or 0) < 0:
+        parser.error("--pictures and --height-m are above 0, --seed 0 or more")
     cv2.setNumThreads(1)
     pictures, of = options.pictures or 500, GROUPS[options.of]
     if options.conditions:

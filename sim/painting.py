@@ -24,7 +24,7 @@ NUM_LEVELS = 4
 Field = NDArray[np.floating]
 """One value for every pixel of a drawing."""
 
-_MARGIN_M = 0.2
+_MARGIN_M, _MOST_MARGIN_PX = 0.2, 16.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,9 +43,9 @@ class Canvas:
         centre_x_m: float, half_length_m: float, half_breadth_m: float, px_per_m: float
     ) -> Canvas:
         """Large enough for something of that size, with its centre in the middle."""
-        multiple = 2**NUM_LEVELS
-        columns = math.ceil((half_length_m + _MARGIN_M) * px_per_m / multiple) * multiple
-        rows = math.ceil((half_breadth_m + _MARGIN_M) * px_per_m / multiple) * multiple
+        margin_m, multiple = min(_MARGIN_M, _MOST_MARGIN_PX / px_per_m), 2**NUM_LEVELS
+        columns = math.ceil((half_length_m + margin_m) * px_per_m / multiple) * multiple
+        rows = math.ceil((half_breadth_m + margin_m) * px_per_m / multiple) * multiple
         axis_x = (np.arange(-columns, columns) + 0.5) / px_per_m + centre_x_m
         axis_y = (np.arange(-rows, rows) + 0.5) / px_per_m
         grid_y, grid_x = np.meshgrid(axis_y, axis_x, indexing="ij")

@@ -10,8 +10,8 @@ import numpy as np
 
 from dronemon.errors import OptionError
 from dronemon.types import FloatArray
-from dronemon.vision.markers import dictionary_of, number_of
-from sim.painting import SPRITE_PX_PER_M, Canvas, Layer
+from dronemon.vision.markers import dictionary_of, modules_of, number_of
+from sim.painting import Canvas, Layer
 
 _WHEELS = (0.10, 0.10, 0.11)
 _PX_PER_MODULE = 8.0
@@ -42,14 +42,14 @@ class Robot:
             raise OptionError(f"the simulator draws no {look!r}")
         family, number, side_m = parts
         dictionary = dictionary_of(family)
-        count = dictionary.markerSize + 2
+        count = modules_of(dictionary)
         marker = cv2.aruco.generateImageMarker(dictionary, number_of(number, family), count)
         return cls(modules=marker.astype(np.float64) / 255.0, side_m=float(side_m))
 
     @property
     def px_per_m(self) -> float:
-        """So that its modules are sharp."""
-        return max(SPRITE_PX_PER_M, _PX_PER_MODULE * len(self.modules) / self.side_m)
+        """So that its modules are sharp, however large it is."""
+        return _PX_PER_MODULE * len(self.modules) / self.side_m
 
     @property
     def half_length_m(self) -> float:

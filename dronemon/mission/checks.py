@@ -120,6 +120,12 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
             ("detector", "side_m"),
             "is missing; give the side of the markers' black square, in m, for the simulator",
         )
+    if is_marked and (detector.side_m or 0.0) > mission.sensor_radius_m:
+        yield (
+            ("detector", "side_m"),
+            f"{detector.side_m:g} m is more than the sensor's radius of "
+            f"{mission.sensor_radius_m:g} m: such a marker is never wholly in view",
+        )
     for target in mission.targets:
         name = target.appearance
         is_drawn = detector.kind == "drawn" or (is_simulated and not is_marked)

@@ -236,6 +236,8 @@ def _explain(model: Any, error: dict[str, Any]) -> str:
     if kind == "value_error":
         return message.removeprefix("Value error, ")
     text = f"{message[0].lower()}{message[1:]}, but is {given!r}"
+    if kind == "string_type" and isinstance(given, int | float):
+        text += f'; put it in quotes: "{given}"'
     if kind in {"float_type", "float_parsing", "int_type", "int_parsing"}:
         text += "; write a bare number, its unit is the end of the key"
     return text

@@ -109,7 +109,7 @@ class SearchPlanner:
         """
         speed = self._particles.speed.mean
         num_steps = self.settings.horizon(speed)
-        count = self.settings.num_places // (num_steps * len(self._particles.targets))
+        count = max(1, self.settings.num_places // (num_steps * len(self._particles.targets)))
         now, later = self._particles.futures(
             min(self.settings.num_planned, count), num_steps, MEASUREMENT_INTERVAL_AU
         )

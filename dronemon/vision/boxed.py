@@ -120,9 +120,9 @@ class BoxDetector:
         """Boxes of what is watched in a part of a picture, in its pixels."""
         picture, letterbox = self._prepared(image)
         outputs = self._network.run(picture)
-        boxes = boxes_of(self._layout, outputs, len(self._names), self._size_px)
-        if not (np.isfinite(boxes.corners_px).all() and np.isfinite(boxes.scores).all()):
+        if not all(np.isfinite(output).all() for output in outputs):
             raise CameraError("the detector's network put out what are no numbers")
+        boxes = boxes_of(self._layout, outputs, len(self._names), self._size_px)
         if boxes.scores.max(initial=0.0) > _MOST_SCORE or boxes.scores.min(initial=0.0) < 0.0:
             raise CameraError(
                 f"the network's scores go to {boxes.scores.max():.3g}, not from 0 to 1; export it "

@@ -47,7 +47,7 @@ def layout_of(
         for layout in LAYOUTS
         if given in (None, layout) and _fits(layout, shapes, num_classes, fewest)
     ]
-    if not given and len(outputs) == 1:
+    if len(outputs) == 1:
         fitting = _of_such_places(fitting, outputs[0])
     if len(fitting) == 1:
         return fitting[0]
@@ -65,13 +65,16 @@ def layout_of(
 
 
 def _of_such_places(layouts: list[Layout], output: NDArray[np.floating[Any]]) -> list[Layout]:
-    """The layouts of one output that have boxes in shares, or in pixels, as it has."""
-    kinds = {layout in _IN_SHARES for layout in layouts}
-    if len(kinds) < len((True, False)):
-        return layouts
-    reach = np.abs(output[0, :, :4]).max()  # yolov8, which has boxes in columns, fits alone
-    are_shares = 0.0 < reach <= _MOST_SHARE  # boxes that are all 0 fill up a list of corners
-    return [layout for layout in layouts if (layout in _IN_SHARES) == are_shares]
+    """Those of the layouts that have boxes in shares, or in pixels, as an output has.
+
+    Boxes of zeros, or below, fill up a list of corners.
+    """
+    if "yolov8" in layouts:
+        output = output.transpose(0, 2, 1)
+    places = output[0, :, :4][(output[0, :, :4] > 0.0).any(axis=1)] if layouts else output[:0]
+    are_shares = len(places) > 0 and bool(np.abs(places).max() <= _MOST_SHARE)
+    are_known = len(places) > 0 or "yolov10" in layouts
+    return [of for of in layouts if not are_known or (of in _IN_SHARES) == are_shares]
 
 
 def _fits(layout: Layout, shapes: Sequence[tuple[int, ...]], num_classes: int, fewest: int) -> bool:

@@ -14,6 +14,7 @@ from dronemon.vision.project import ground_side_m
 
 _MOST_OFF = 1.5
 """How much larger or smaller than it is a marker may seem: it may lie higher than the ground."""
+_PX_PER_MODULE = 2.5
 _PREFIX = "DICT_"
 FAMILIES = tuple(
     sorted({name[len(_PREFIX) :].lower() for name in dir(cv2.aruco) if name.startswith(_PREFIX)})
@@ -29,6 +30,16 @@ def dictionary_of(family: str) -> cv2.aruco.Dictionary:
             f"{did_you_mean(family, FAMILIES)}there are: {', '.join(FAMILIES)}"
         )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _PREFIX + family.upper()))
+
+
+def px_per_m_of_marker(family: str, side_m: float) -> float:
+    """The detail that markers need to be found. Raises OptionError."""
+    return _PX_PER_MODULE * modules_of(dictionary_of(family)) / side_m
+
+
+def modules_of(dictionary: cv2.aruco.Dictionary) -> int:
+    """Squares along a marker's side, its black border with them."""
+    return dictionary.markerSize + 2
 
 
 def number_of(appearance: str, family: str) -> int:

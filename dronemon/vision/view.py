@@ -17,6 +17,11 @@ def px_per_m(mission: Mission) -> float:
 def needed_px_per_m(mission: Mission) -> float | None:
     """The least that the detector needs of it; None where nobody has said."""
     of = mission.detector
+    if of.kind == "markers" and of.needed_px_per_m is None and of.side_m is not None:
+        from dronemon.vision.markers import FAMILIES, px_per_m_of_marker
+
+        # A family that there is not is told where the detector is made.
+        return px_per_m_of_marker(of.family, of.side_m) if of.family in FAMILIES else None
     if of.needed_px_per_m is not None or of.kind != "drawn":
         return of.needed_px_per_m
     looks = {target.appearance for target in mission.targets} & PROTOTYPES.keys()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 
 import torch
@@ -25,7 +27,6 @@ WEIGHT_DECAY = 1e-4
 MAX_GRADIENT = 10.0
 WARMUP_SHARE, LEAST_SHARE = 0.03, 1e-3
 """Of the time, in which the learning rate rises, and of that rate, which is kept to the end."""
-MOST_WORKERS = 64
 _LINES = 30
 
 
@@ -94,18 +95,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m sim.detector", description=__doc__)
     parser.add_argument("--minutes", type=_minutes, default=60.0, help="default: 60")
     parser.add_argument("--out", type=Path, required=True, help="the ONNX file; a card lies beside")
-    parser.add_argument("--seed", type=int, default=0, help="of the first weights; default: 0")
+    parser.add_argument("--seed", type=_count, default=0, help="of the first weights; default: 0")
     parser.add_argument("--workers", type=_count, default=1, help="processes that draw; default: 1")
     options = parser.parse_args()
     out, commit = options.out, find_commit(Path(__file__).parents[1])
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        replace_text(out.with_suffix(".md"), "In training.\n")  # rather told now than in an hour
-    except OSError as exc:
-        parser.error(f"--out {out}: {exc.strerror}")
+    if problem := _problem_of(out):  # rather told now than in an hour
+        parser.error(problem)
     torch.manual_seed(options.seed)
     network = DetectorNetwork()
-    rows = train(network, options.minutes, options.workers)
+    try:
+        rows = train(network, options.minutes, options.workers)
+    except KeyboardInterrupt:
+        parser.exit(130, "stopped; nothing was written\n")
     export(network, out, CAMERA.width_px, CAMERA.height_px)
     command = (
         f"python -m sim.detector --minutes {options.minutes:g} --seed {options.seed} "
@@ -113,6 +114,20 @@ def main() -> None:
     )
     replace_text(out.with_suffix(".md"), card(out, command, commit, rows))
     _say(f"{out}: {out.stat().st_size / 2**20:.2f} MiB")
+
+
+def _problem_of(out: Path) -> str | None:
+    """What is against writing a network there; makes the folder."""
+    if out.suffix != ".onnx" or out.is_dir():
+        return f"--out {out}: is no name of a file that ends in .onnx"
+    if find_spec("onnx") is None:
+        return "the package onnx is missing: pip install onnx"
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        return f"--out {out}: {exc.strerror}"
+    is_open = os.access(out.parent, os.W_OK)
+    return None if is_open else f"--out {out}: its folder cannot be written to"
 
 
 def _minutes(text: str) -> float:
@@ -124,8 +139,8 @@ def _minutes(text: str) -> float:
 
 def _count(text: str) -> int:
     count = int(text)
-    if not 0 <= count <= MOST_WORKERS:
-        raise argparse.ArgumentTypeError(f"{text} is not 0 to {MOST_WORKERS}")
+    if not 0 <= count < 2**32:
+        raise argparse.ArgumentTypeError(f"{text} is not 0 or more")
     return count
 
 

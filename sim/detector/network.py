@@ -10,7 +10,6 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
-import onnx
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import logsigmoid, smooth_l1_loss
@@ -114,6 +113,8 @@ def box_rows(right_px: Tensor, down_px: Tensor, width_px: float, height_px: floa
 
 def export(network: DetectorNetwork, path: Path, width_px: int, height_px: int) -> None:
     """Write an ONNX file that says its input's size and the names of its classes."""
+    import onnx  # of the tests' packages: who flies needs none
+
     picture = torch.zeros(1, 3, height_px, width_px)
     whole = _Boxes(network.eval(), width_px, height_px).eval()
     with warnings.catch_warnings():

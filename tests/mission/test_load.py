@@ -457,3 +457,17 @@ def test_the_simulator_draws_markers_whose_side_is_known(tmp_path: Path):
     path.write_text(MARKED.replace(", SIDE", "") + "camera: {url: '0'}\n")
     mission = load_mission(path).mission  # of markers that lie there
     assert World(mission).looks == ["7"]
+
+
+def test_a_number_for_a_word_is_put_in_quotes(tmp_path: Path):
+    message = _error(tmp_path, MARKED.replace("SIDE", "side_m: 1.5").replace('"7"', "7"))
+    assert "targets[0].appearance" in message
+    assert 'but is 7; put it in quotes: "7"' in message
+
+
+@pytest.mark.parametrize(
+    ("side_m", "why"),
+    [(0.3, "pixels that the detector needs"), (21.0, "is more than the sensor's radius of 20 m")],
+)
+def test_markers_that_would_not_be_found_are_refused(tmp_path: Path, side_m: float, why: str):
+    assert why in _error(tmp_path, MARKED.replace("SIDE", f"side_m: {side_m}"))

@@ -106,8 +106,10 @@ def test_a_short_training_leaves_a_network_that_can_be_flown_and_its_card(tmp_pa
     [
         ("--minutes", "0", "no time to train"),
         ("--minutes", "nan", "no time to train"),
-        ("--workers", "-1", "is not 0 to 64"),
+        ("--workers", "-1", "is not 0 or more"),
         ("--out", "/dev/null/detector.onnx", "error: --out /dev/null/"),
+        ("--out", "detector.md", "ends in .onnx"),
+        ("--minutes", "inf", "no time to train"),
     ],
 )
 def test_what_cannot_be_trained_is_told_at_once(option: str, value: str, why: str):

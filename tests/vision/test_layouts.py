@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dronemon.errors import OptionError
-from dronemon.types import LAYOUTS, FloatArray
+from dronemon.types import LAYOUTS, FloatArray, Layout
 from dronemon.vision.boxes import Boxes
 from dronemon.vision.layouts import boxes_of, layout_of
 
@@ -98,8 +98,20 @@ def test_a_layout_that_is_given_need_not_show_how_many_boxes_it_has() -> None:
     assert len(boxes_of("yolov10", [np.zeros((1, 0, 6))], NUM_CLASSES, SIZE_PX).scores) == 0
 
 
-def test_a_list_filled_up_with_nothing_is_of_corners() -> None:
+def test_what_fills_up_a_list_tells_nothing() -> None:
     assert layout_of([np.zeros((1, 300, 6))], NUM_CLASSES) == "yolov10"
+    assert layout_of([np.full((1, 300, 6), -1.0)], NUM_CLASSES) == "yolov10"
+    (output,) = written("rtdetr-top")
+    filled = np.concatenate([output, np.full((1, 20, 6), -1.0)], axis=1)
+    assert layout_of([filled], NUM_CLASSES) == "rtdetr-top"
+
+
+@pytest.mark.parametrize(
+    ("layout", "given"), [("yolov10", "rtdetr-top"), ("rtdetr-top", "yolov10")]
+)
+def test_a_layout_that_the_boxes_contradict_is_refused(layout: str, given: Layout) -> None:
+    with pytest.raises(OptionError, match=f"is not {given}; say detector.layout"):
+        layout_of(written(layout), NUM_CLASSES, given)
 
 
 def test_two_boxes_of_one_thing_are_one_find_the_surer_whatever_their_classes() -> None:
