@@ -163,11 +163,11 @@ class Tally:
                 yield f"    {name}: {num_found} of {self.num_whole[name]}"
 
 
-def make_detector(network: Path | None, appearances: tuple[str, ...]) -> Detector:
+def make_detector(network: Path | None, min_score: float, appearances: tuple[str, ...]) -> Detector:
     """The detector that is measured."""
     if network is None:
-        return DrawnDetector(appearances, CAMERA, MIN_SCORE)
-    section = DetectorSection(kind="onnx", file=str(network), min_score=MIN_SCORE)
+        return DrawnDetector(appearances, CAMERA, min_score)
+    section = DetectorSection(kind="onnx", file=str(network), min_score=min_score)
     try:
         return BoxDetector(section, appearances, CAMERA)
     except OptionError as exc:
@@ -278,6 +278,7 @@ def main() -> None:
     parser.add_argument("--of", choices=[*GROUPS], default="animals", help="default: animals")
     parser.add_argument("--height-m", type=float, help="default: 35 +-20 %%")
     parser.add_argument("--network", type=Path, help="an ONNX file, in place of the drawn detector")
+    parser.add_argument("--min-score", type=float, default=MIN_SCORE, help=f"default: {MIN_SCORE}")
     modes = parser.add_mutually_exclusive_group()
     modes.add_argument("--measure", action="store_true", help="print the prototypes instead")
     modes.add_argument("--conditions", action="store_true", help="print a table of all, instead")
@@ -290,13 +291,15 @@ def main() -> None:
     pictures, of = options.pictures or 500, GROUPS[options.of]
     if options.conditions:
         compare(
-            make_detector(options.network, APPEARANCES), options.seed or 0, options.pictures or 1000
+            make_detector(options.network, options.min_score, APPEARANCES),
+            options.seed or 0,
+            options.pictures or 1000,
         )
     elif options.measure:
         seed = 10001 if options.seed is None else options.seed
         measure(seed, pictures, of, options.height_m)
     else:
-        detector = make_detector(options.network, of)
+        detector = make_detector(options.network, options.min_score, of)
         benchmark(detector, options.seed or 0, pictures, of, options.height_m)
 
 
