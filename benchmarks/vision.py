@@ -290,11 +290,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     pictures, of = options.pictures or 500, GROUPS[options.of]
     if options.conditions:
-        compare(
-            make_detector(options.network, options.min_score, APPEARANCES),
-            options.seed or 0,
-            options.pictures or 1000,
-        )
+        detector = make_detector(options.network, options.min_score, APPEARANCES)
+        compare(detector, options.seed or 0, options.pictures or 1000)
     elif options.measure:
         seed = 10001 if options.seed is None else options.seed
         measure(seed, pictures, of, options.height_m)
