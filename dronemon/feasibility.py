@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import groupby
 
@@ -18,7 +18,7 @@ from dronemon.mission import (
     mission_obstacles,
 )
 from dronemon.mission.addresses import parse_udpin
-from dronemon.mission.checks import outbound_min, return_min, usable_min
+from dronemon.mission.checks import outbound_min, return_min, strangers, usable_min
 from dronemon.mission.document import Overrides, Problem
 from dronemon.mission.field import field_problems, flown_over
 from dronemon.mission.schema import Planner as PlannerSection
@@ -133,8 +133,7 @@ def flight_facts(m: Mission) -> dict[str, str]:
         f"{'its gimbal off by' if m.camera.gimbal else 'banked'} "
         f"{math.degrees(tilt_rad(m)):.0f} degrees",
         "camera": _camera_fact(m),
-        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs "
-        f"{needed_px_per_m(m) or 'what detector.needed_px_per_m does not say'}",
+        "detail": f"{px_per_m(m):.1f} pixels a metre; the detector needs {_needed_fact(m)}",
         "patrol": f"{m.horizon_au:g} au = {m.horizon_au * m.area.side_m:.0f} m at "
         f"{m.flight.cruise_speed_m_s:g} m/s = {m.patrol_duration_s / 60:.1f} min",
         "pictures": f"{m.num_pictures}, one every {MEASUREMENT_INTERVAL_AU * m.area.side_m:g} m",
@@ -184,6 +183,12 @@ def _relay_fact(m: Mission) -> str:
     return f"{m.flight.relay}, about {math.ceil(patrol_min / each_min)} batteries"
 
 
+def _needed_fact(mission: Mission) -> str:
+    needed_px = needed_px_per_m(mission)
+    known = None if needed_px is None else f"{needed_px:.1f}"
+    return known or "some: say it in detector.needed_px_per_m"
+
+
 def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Problem]:
     """What only a simulator could give, and what one beside the vehicle cannot share with it."""
     url = mission.vehicle.url
@@ -200,6 +205,8 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
             "is of a real camera or of the mock's: the simulated one that follows a vehicle is "
             "fixed to it; leave it out",
         )
+    if mission.camera.is_simulated:
+        yield from _drawing_problems(mission)
     if mission.vehicle.is_mock or follow is not None:
         motion, count = mission.simulation.motion, len(mission.targets)
         if any(field_problems(mission)):  # they are told already
@@ -221,14 +228,29 @@ def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Proble
             )
 
 
+def _drawing_problems(mission: Mission) -> Iterator[Problem]:
+    """What the simulator cannot draw."""
+    detector = mission.detector
+    if detector.kind not in ("drawn", "markers"):
+        yield from strangers(mission, "the simulator draws (a real camera is named as camera.url)")
+    if detector.kind == "markers" and detector.side_m is None:
+        yield (
+            ("detector", "side_m"),
+            "is missing; give the side of the markers' black square, in m, for the simulator",
+        )
+
+
 def _sight_problems(mission: Mission) -> Iterator[Problem]:
     """Whether the camera sees the whole footprint from the patrol's height, and targets in it."""
     needed_px = needed_px_per_m(mission)
     highest_m = math.inf if needed_px is None else mission.camera.model.focal_px / needed_px
     (key, size_m), altitude_m = mission.area.size, mission.flight.altitude_m
     needed_m, tilt_deg = needed_altitude_m(mission), math.degrees(tilt_rad(mission))
+    least_m, most_m = _to_tenth(math.ceil, needed_m), _to_tenth(math.floor, highest_m)
+    smaller_m = _to_tenth(math.floor, size_m * (most_m - 0.1) / needed_m)
     tilt = f"while it banks {tilt_deg:.1f} degrees to accelerate"
     or_lower = f", or lower {mission.flight.what_banks}"
+    or_larger = " or larger markers" if mission.detector.kind == "markers" else ""
     if mission.camera.gimbal:
         tilt, or_lower = f"with its gimbal off by {tilt_deg:.1f} degrees", ""
     if needed_m == math.inf:
@@ -237,30 +259,35 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             f"no height will do: the camera cannot see what is below the drone {tilt}; "
             f"use a camera with a wider view{or_lower}",
         )
-    elif highest_m < needed_m:
+    elif highest_m < needed_m or (altitude_m > highest_m and most_m < least_m):
         yield (
             ("area", key),
             f"{size_m:g} m is too large for the camera: its footprint of "
-            f"{mission.sensor_radius_m:g} m takes {needed_m:.1f} m of height, but "
-            f"above {highest_m:.0f} m a metre is less than the {needed_px:g} pixels that "
-            f"the detector needs; make it {size_m * highest_m / needed_m:.0f} m "
-            f"or less, or use a camera with more pixels{or_lower}",
+            f"{mission.sensor_radius_m:g} m takes {least_m:.1f} m of height, but "
+            f"above {most_m:.1f} m a metre is less than the {needed_px:.1f} pixels that "
+            f"the detector needs; make it {smaller_m:.1f} m "
+            f"or less, or use a camera with more pixels{or_larger}{or_lower}",
         )
     elif altitude_m < needed_m:
         yield (
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too low: the camera must see {mission.sensor_radius_m:g} m "
-            f"around the drone (0.1 au) {tilt}, which takes {needed_m:.1f} m at its angle of "
-            f"view; fly higher, or make area.{key} smaller{or_lower}",
+            f"around the drone (0.1 au) {tilt}, which takes {least_m:.1f} m at its angle "
+            f"of view; fly higher, or make area.{key} smaller{or_lower}",
         )
     elif altitude_m > highest_m:
         yield (
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too high: a metre on the ground is {px_per_m(mission):.1f} "
-            f"pixels of this camera, and the detector needs {needed_px:g} to know a "
-            f"target; fly at {needed_m:.1f} to {highest_m:.0f} m, or use a "
-            "camera with more pixels",
+            f"pixels of this camera, and the detector needs {needed_px:.1f} to know a "
+            f"target; fly at {least_m:.1f} to {most_m:.1f} m, or use a "
+            f"camera with more pixels{or_larger}",
         )
+
+
+def _to_tenth(rounded: Callable[[float], int], length_m: float) -> float:
+    """A length to a tenth, so that what is advised is not refused for its last digit."""
+    return rounded(10.0 * length_m) / 10.0 if length_m < math.inf else length_m
 
 
 def _lens_problems(mission: Mission) -> Iterator[Problem]:

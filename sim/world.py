@@ -15,6 +15,7 @@ from typing import Self
 
 import numpy as np
 
+from dronemon.errors import OptionError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned
 from dronemon.mission import (
     Mission,
@@ -42,7 +43,8 @@ def _look(mission: Mission, target: Target) -> str:
     of = mission.detector
     if of.kind != "markers" or not mission.camera.is_simulated:
         return target.appearance
-    assert of.side_m is not None  # mission_problems
+    if of.side_m is None:
+        raise OptionError("detector.side_m is missing: how large are the markers to be drawn?")
     return look_of(of.family, target.appearance, of.side_m)
 
 

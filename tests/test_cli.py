@@ -148,13 +148,13 @@ def test_what_the_detector_cannot_see_is_refused_with_the_numbers(run, mission):
     assert code == 2
     assert "m.yaml:7: flight.altitude_m: 100 m is too high" in err
     assert "3.2 pixels" in err
-    assert "fly at 42.2 to 58 m" in err
+    assert "fly at 42.3 to 58.1 m" in err
     wide = mission("side_m: 200", "side_m: 600")
     code, _, err = run("fly", wide, "--planner", "tsp")
     assert code == 2
     assert "m.yaml:5: area.side_m: 600 m is too large for the camera" in err
     assert "126.7 m" in err
-    assert "make it 276 m or less" in err
+    assert "make it 274.7 m or less" in err
 
 
 def test_bad_mission_is_exit_2_and_one_message(run, mission):

@@ -114,23 +114,20 @@ def _detector_problems(mission: Mission) -> Iterator[Problem]:
     others = {other for taken in detector.confusion.values() for other in taken}
     if detector.kind == "drawn" and (strange := sorted(others - set(APPEARANCES))):
         yield ("detector", "confusion"), f"kind drawn finds no {strange[0]!r}"
-    is_simulated, is_marked = mission.camera.is_simulated, detector.kind == "markers"
-    if is_simulated and is_marked and detector.side_m is None:
-        yield (
-            ("detector", "side_m"),
-            "is missing; give the side of the markers' black square, in m, for the simulator",
-        )
-    if is_marked and (detector.side_m or 0.0) > mission.sensor_radius_m:
+    if detector.kind == "markers" and (detector.side_m or 0.0) > mission.sensor_radius_m:
         yield (
             ("detector", "side_m"),
             f"{detector.side_m:g} m is more than the sensor's radius of "
             f"{mission.sensor_radius_m:g} m: such a marker is never wholly in view",
         )
+    if detector.kind == "drawn":
+        yield from strangers(mission, "kind drawn knows")
+
+
+def strangers(mission: Mission, who: str) -> Iterator[Problem]:
+    """Targets that look like nothing that the simulator draws. who: cannot know them"""
     for target in mission.targets:
-        name = target.appearance
-        is_drawn = detector.kind == "drawn" or (is_simulated and not is_marked)
-        if is_drawn and name not in APPEARANCES:
-            who = "the simulator draws" if is_simulated else "kind drawn knows"
+        if (name := target.appearance) not in APPEARANCES:
             yield (
                 ("targets", target.entry, "appearance"),
                 f"{name!r} is none of what {who}; {did_you_mean(name, APPEARANCES)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,7 @@ def test_who_is_small_is_looked_at_from_lower(
     if needed is None:
         load_checked(str(path), {}, None)
     else:
-        with pytest.raises(MissionFileError, match=f"too high: .* detector needs {needed} to"):
+        with pytest.raises(MissionFileError, match=f"too high: .* detector needs {needed}"):
             load_checked(str(path), {}, None)
 
 
@@ -64,7 +65,7 @@ def test_animals_is_the_papers_experiment():
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
-        (ALTITUDE, "altitude_m: 30", 6, ["flight.altitude_m", "too low", "11.5 degrees", "42.2 m"]),
+        (ALTITUDE, "altitude_m: 30", 6, ["flight.altitude_m", "too low", "11.5 degrees", "42.3 m"]),
         (ALTITUDE, "altitude_m: 060", 6, ["flight.altitude_m", "`060`", "as 48; write 60 or 48"]),
         (ALTITUDE, "altitude_m: 0x50", 6, ["flight.altitude_m", "read as 80; write 80"]),
         (ALTITUDE, "altitude_m: 0b101101", 6, ["read as 45; write 45"]),
@@ -169,7 +170,7 @@ def test_message_names_line_and_key(
 def test_a_gimbal_allows_what_banks_too_much_for_a_fixed_camera(tmp_path: Path):
     """It stays level: 5 degrees that it may be off take 31.9 m of height, 11.5 take 42.2."""
     lower = ANIMALS.replace(ALTITUDE, "altitude_m: 33") + "camera: {gimbal: GIMBAL}\n"
-    assert "42.2 m" in _error(tmp_path, lower.replace("GIMBAL", "false"))
+    assert "42.3 m" in _error(tmp_path, lower.replace("GIMBAL", "false"))
     path = tmp_path / "m.yaml"
     path.write_text(lower.replace("GIMBAL", "true"))
     mission = load_checked(str(path), {}, None).mission
@@ -471,3 +472,24 @@ def test_a_number_for_a_word_is_put_in_quotes(tmp_path: Path):
 )
 def test_markers_that_would_not_be_found_are_refused(tmp_path: Path, side_m: float, why: str):
     assert why in _error(tmp_path, MARKED.replace("SIDE", f"side_m: {side_m}"))
+
+
+def test_what_is_advised_is_not_refused_again(tmp_path: Path):
+    small = (
+        MARKED.replace("SIDE", "side_m: 0.4") + "flight: {altitude_m: 45, cruise_speed_m_s: 2}\n"
+    )
+    told = _error(tmp_path, small)
+    side_m = re.search(r"make it ([0-9.]+) m or less", told)[1]
+    told = _error(tmp_path, f"area: {{side_m: {side_m}}}\n{small}")
+    least_m, most_m = re.search(r"fly at ([0-9.]+) to ([0-9.]+) m", told).groups()
+    assert float(least_m) <= float(most_m)
+    for height_m in (least_m, most_m):
+        text = f"area: {{side_m: {side_m}}}\n{small.replace('45', height_m)}"
+        (tmp_path / "m.yaml").write_text(text)
+        load_checked(str(tmp_path / "m.yaml"), {}, None)
+
+
+def test_only_a_flight_asks_what_the_simulator_draws(tmp_path: Path):
+    text = "detector: {kind: blobs, saturation: 0.5}\ntargets: [{name: A, appearance: buoy}]\n"
+    assert "'buoy' is none of what the simulator draws" in _error(tmp_path, text)
+    assert load_mission(tmp_path / "m.yaml").mission.targets[0].appearance == "buoy"

@@ -109,7 +109,7 @@ def test_the_pages_detector_finds_the_lamp(folder: Path) -> None:
         (
             {"kind": "onnx", "file": "eyes.onnx", "needed_px_per_m": 8},
             "zebra",
-            r"altitude_m: .*the detector needs 8|side_m: .*8 pixels that the detector needs",
+            r"altitude_m: .*the detector needs 8|side_m: .*8.0 pixels that the detector needs",
         ),
     ],
 )
