@@ -154,7 +154,7 @@ def test_what_the_detector_cannot_see_is_refused_with_the_numbers(run, mission):
     assert code == 2
     assert "m.yaml:5: area.side_m: 600 m is too large for the camera" in err
     assert "126.7 m" in err
-    assert "make it 274.7 m or less" in err
+    assert "make it 274.6 m or less" in err
 
 
 def test_bad_mission_is_exit_2_and_one_message(run, mission):
