@@ -177,6 +177,22 @@ def test_people_vehicles_and_robots_are_watched_to_the_end(
     assert max(errors_m) < 4.0
 
 
+@pytest.mark.slow
+def test_a_network_watches_animals_to_the_end(fly: Callable[..., Flight], tmp_path: Path):
+    detector = f"detector: {{kind: onnx, file: {ROOT}/models/detector.onnx, min_score: 0.3}}\n"
+    mission = tmp_path / "network.yaml"
+    mission.write_text((ROOT / "missions" / "animals.yaml").read_text() + detector)
+    flight = fly("--mission", str(mission), "--horizon-au", "2.5", "--speed-up", "5")
+    code, output = flight.finish()
+    assert code == 0, output
+    summary = flight.summary()
+    assert (summary["outcome"], summary["is_landed"]) == ("completed", True)
+    judge_pictures(summary, flight.lines("observations"), due=25)
+    errors_m = _errors_m(flight, 200.0)
+    assert len(errors_m) >= 5
+    assert max(errors_m) < 4.0
+
+
 GIMBAL = """
 camera: {gimbal: true}
 simulation: {seed: 3, faults: ["askew=8@15"]}
