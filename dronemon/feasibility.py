@@ -185,8 +185,7 @@ def _relay_fact(m: Mission) -> str:
 
 def _needed_fact(mission: Mission) -> str:
     needed_px = needed_px_per_m(mission)
-    known = None if needed_px is None else f"{needed_px:.1f}"
-    return known or "some: say it in detector.needed_px_per_m"
+    return "some: say it in detector.needed_px_per_m" if needed_px is None else f"{needed_px:.1f}"
 
 
 def _simulator_problems(mission: Mission, follow: str | None) -> Iterator[Problem]:
@@ -251,6 +250,7 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
     tilt = f"while it banks {tilt_deg:.1f} degrees to accelerate"
     or_lower = f", or lower {mission.flight.what_banks}"
     or_larger = " or larger markers" if mission.detector.kind == "markers" else ""
+    better = f"or use a camera with more pixels{or_larger}"
     if mission.camera.gimbal:
         tilt, or_lower = f"with its gimbal off by {tilt_deg:.1f} degrees", ""
     if needed_m == math.inf:
@@ -265,8 +265,7 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             f"{size_m:g} m is too large for the camera: its footprint of "
             f"{mission.sensor_radius_m:g} m takes {least_m:.1f} m of height, but "
             f"above {most_m:.1f} m a metre is less than the {needed_px:.1f} pixels that "
-            f"the detector needs; make it {smaller_m:.1f} m "
-            f"or less, or use a camera with more pixels{or_larger}{or_lower}",
+            f"the detector needs; make it {smaller_m:.1f} m or less, {better}{or_lower}",
         )
     elif altitude_m < needed_m:
         yield (
@@ -280,8 +279,7 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             ("flight", "altitude_m"),
             f"{altitude_m:g} m is too high: a metre on the ground is {px_per_m(mission):.1f} "
             f"pixels of this camera, and the detector needs {needed_px:.1f} to know a "
-            f"target; fly at {least_m:.1f} to {most_m:.1f} m, or use a "
-            f"camera with more pixels{or_larger}",
+            f"target; fly at {least_m:.1f} to {most_m:.1f} m, {better}",
         )
 
 

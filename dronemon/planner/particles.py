@@ -247,19 +247,14 @@ class ParticleBelief:
 
         Each by one of its own kind: that a place is unlikely for a kind tells nothing against it.
         """
-        doubts = walking.doubts(
-            target.walkers,
-            self._old_trail(target),
-            self._motion.trail_radius_au,
-            self.kinds.table,
-        )
-        is_lost = (doubts > 0.0) & (self._rng.random(len(doubts)) < doubts)
-        for kind in np.unique(target.walkers[is_lost, KIND]):
-            is_own = target.walkers[:, KIND] == kind
-            left = np.flatnonzero(is_own & ~is_lost)
+        walkers, trail_au = target.walkers, self._old_trail(target)
+        doubts = walking.doubts(walkers, trail_au, self._motion.trail_radius_au, self.kinds.table)
+        is_lost = self._rng.random(len(doubts)) < doubts
+        for kind in np.unique(walkers[is_lost, KIND]):
+            is_own = walkers[:, KIND] == kind
+            left, lost = np.flatnonzero(is_own & ~is_lost), np.flatnonzero(is_own & is_lost)
             if len(left):
-                lost = np.flatnonzero(is_own & is_lost)
-                target.walkers[lost] = target.walkers[self._rng.choice(left, len(lost))]
+                walkers[lost] = walkers[self._rng.choice(left, len(lost))]
 
     def _learn_speed(self, index: int, now: Sight) -> None:
         for then in list(self.targets[index].sights)[-3:]:

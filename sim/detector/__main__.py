@@ -45,8 +45,7 @@ def train(network: DetectorNetwork, minutes: float, workers: int) -> list[Row]:
     began_s, losses, rows, pictures = time.monotonic(), list[float](), list[Row](), 0
     for batch in loader:
         done = min((time.monotonic() - began_s) / (60.0 * minutes), 1.0)
-        rising = done / WARMUP_SHARE
-        share = min(rising, 0.5 + 0.5 * math.cos(math.pi * done))
+        share = min(done / WARMUP_SHARE, 0.5 + 0.5 * math.cos(math.pi * done))
         for group in optimiser.param_groups:
             group["lr"] = LEARNING_RATE * max(share, LEAST_SHARE)
         shown = batch[0].to(memory_format=torch.channels_last)
