@@ -1,4 +1,4 @@
-"""How well the detector finds what the simulator draws: `python benchmarks/vision.py [--of GROUP]`.
+"""How well detectors find what the simulator draws: `python benchmarks/vision.py [--of GROUP]`.
 
 Each picture has a random place, heading, height (35 m +-20 %) and tilt (up to 15 degrees) over a
 random area of 200 m with one target of every appearance of a group, at least one of them near the
@@ -10,7 +10,8 @@ the picture.
 
 `--conditions` shows all appearances together, from 32 m (10 pixels a metre) in ten worlds, and is
 less kind in one way after the other. `dronemon.vision.prototypes` was measured on other seeds
-(`--measure`, 10001 and up).
+(`--measure`, 10001 and up). `--conditions markers` shows ground robots that the marker detector
+tells apart, and `--conditions blobs` people of whom one wears the colour that is looked for.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -40,19 +42,23 @@ from dronemon.types import (
     FloatArray,
     ImageArray,
 )
+from dronemon.vision.blobs import BlobDetector
 from dronemon.vision.boxed import BoxDetector
 from dronemon.vision.detector import Detector
 from dronemon.vision.drawn import DrawnDetector
+from dronemon.vision.markers import MarkerDetector
 from dronemon.vision.prototypes import COAT_COLOURS
 from sim.camera import decode, encode
 from sim.random_scene import random_scene
 from sim.renderer import Renderer
+from sim.robots import look_of
 from sim.scene import Animal, Scene
 from sim.sprites import drawn_size_m
 
 CAMERA = CameraModel(width_px=640, height_px=480, horizontal_fov_rad=math.pi / 2.0)
 GROUPS = {"animals": ANIMALS, "people": PEOPLE, "vehicles": VEHICLES}
-ALL_HEIGHT_M = 32.0
+FAMILY, SIDE_M = "4x4_50", 1.5
+"""Of the robots' markers."""
 NUM_WORLDS = 10
 SPEED_M_S, TURN_RAD_S = 8.0, 0.3
 """Of the vehicle while the shutter is open: a brisk flight that begins to turn."""
@@ -69,6 +75,53 @@ CONDITIONS = {
     "JPEG 40": Simulation(jpeg_quality=40),
 }
 MIN_SCORE = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Subject:
+    """What is shown in all conditions, and as what a detector is to find it.
+
+    called:  of each look that is watched, what the detector calls it
+    others:  looks that are shown, and are not to be found
+    groups:  the table's columns of recall, looks of each
+    section: the detector's
+    """
+
+    called: dict[str, str]
+    others: tuple[str, ...] = ()
+    groups: dict[str, tuple[str, ...]]
+    height_m: float
+    section: DetectorSection = field(default_factory=DetectorSection)
+
+    @property
+    def looks(self) -> tuple[str, ...]:
+        """All that is shown."""
+        return (*self.called, *self.others)
+
+
+def _robots() -> Subject:
+    called = {look_of(FAMILY, number, SIDE_M): number for number in ("3", "7", "11", "15", "19")}
+    section = DetectorSection(kind="markers", family=FAMILY, side_m=SIDE_M)
+    return Subject(called=called, groups={"robots": tuple(called)}, height_m=20.0, section=section)
+
+
+def _jackets() -> Subject:
+    section = DetectorSection(kind="blobs", hue_deg=(10.0, 35.0), saturation=0.6, size_m=(0.2, 1.0))
+    orange = {"person-orange": "person-orange"}
+    return Subject(
+        called=orange,
+        others=tuple(look for look in PEOPLE if look not in orange),
+        groups={"orange jackets": tuple(orange)},
+        height_m=20.0,
+        section=section,
+    )
+
+
+SUBJECTS = {
+    "drawn": Subject(called={name: name for name in APPEARANCES}, groups=GROUPS, height_m=32.0),
+    "markers": _robots(),
+    "blobs": _jackets(),
+}
 MATCH_M = 2.5
 """A detection this near to an animal is of that animal."""
 
@@ -93,11 +146,12 @@ def is_whole(scene: Scene, animal: Animal) -> bool:
 
 @dataclass
 class Tally:
-    """Counts over all pictures."""
+    """Counts over all pictures. called: of each look that is to be found, what it is called."""
 
+    called: dict[str, str]
     num_pictures: int = 0
-    num_whole: dict[str, int] = field(default_factory=lambda: dict.fromkeys(APPEARANCES, 0))
-    num_found: dict[str, int] = field(default_factory=lambda: dict.fromkeys(APPEARANCES, 0))
+    num_whole: Counter[str] = field(default_factory=Counter)
+    num_found: Counter[str] = field(default_factory=Counter)
     num_right: int = 0
     num_wrong: int = 0
     num_false: int = 0
@@ -113,7 +167,7 @@ class Tally:
             nearest = int(distance_m.argmin())
             if distance_m[nearest] >= MATCH_M:
                 self.num_false += 1
-            elif scene.animals[nearest].appearance != detection.appearance:
+            elif self.called.get(scene.animals[nearest].appearance) != detection.appearance:
                 self.num_wrong += 1
             else:
                 self.num_right += 1
@@ -122,14 +176,14 @@ class Tally:
                     self.errors_m.append(float(distance_m[nearest]))
         self.num_pictures += 1
         for i, animal in enumerate(scene.animals):
-            if is_whole(scene, animal):
+            if animal.appearance in self.called and is_whole(scene, animal):
                 self.num_whole[animal.appearance] += 1
                 self.num_found[animal.appearance] += i in named
 
-    def recall(self, appearances: tuple[str, ...] = APPEARANCES) -> float:
+    def recall(self, looks: Iterable[str]) -> float:
         """Share of those wholly in view that were found and named right."""
-        num_whole = sum(self.num_whole[name] for name in appearances)
-        return sum(self.num_found[name] for name in appearances) / max(num_whole, 1)
+        num_whole = sum(self.num_whole[look] for look in looks)
+        return sum(self.num_found[look] for look in looks) / max(num_whole, 1)
 
     @property
     def precision(self) -> float:
@@ -150,28 +204,37 @@ class Tally:
     def lines(self) -> Iterator[str]:
         """The table, with the limit of each figure."""
         median_m, p95_m = self.error_m
-        num_whole = sum(self.num_whole.values())
+        num_whole = self.num_whole.total()
         num_finds = self.num_right + self.num_wrong + self.num_false
-        yield f"recall                     {self.recall():8.2%}   (>= 97 %)   {num_whole} targets"
+        recall = self.recall(self.called)
+        yield f"recall                     {recall:8.2%}   (>= 97 %)   {num_whole} targets"
         yield f"precision                  {self.precision:8.2%}   (>= 99 %)   {num_finds} finds"
         yield f"named right                {self.accuracy:8.2%}   (>= 99.5 %)"
         yield f"ground error, median       {median_m:6.2f} m   (<= 0.5 m)"
         yield f"ground error, 95 %         {p95_m:6.2f} m   (<= 1.5 m)"
         yield f"detection, CPU median      {np.median(self.detect_ms):6.1f} ms"
-        for name, num_found in self.num_found.items():
-            if num_found < self.num_whole[name]:
-                yield f"    {name}: {num_found} of {self.num_whole[name]}"
+        for look in self.called:
+            if self.num_found[look] < self.num_whole[look]:
+                yield f"    {look}: {self.num_found[look]} of {self.num_whole[look]}"
 
 
-def make_detector(network: Path | None, min_score: float, appearances: tuple[str, ...]) -> Detector:
-    """The detector that is measured."""
+def section_of(network: Path | None, min_score: float) -> DetectorSection:
+    """The detector of drawings that is measured."""
     if network is None:
-        return DrawnDetector(appearances, CAMERA, min_score)
-    section = DetectorSection(kind="onnx", file=str(network), min_score=min_score)
-    try:
-        return BoxDetector(section, appearances, CAMERA)
-    except OptionError as exc:
-        raise SystemExit(f"--network: {exc}") from exc
+        return DetectorSection(min_score=min_score)
+    return DetectorSection(kind="onnx", file=str(network), min_score=min_score)
+
+
+def make_detector(section: DetectorSection, appearances: Sequence[str]) -> Detector:
+    """A detector of these. Raises OptionError."""
+    match section.kind:
+        case "onnx":
+            return BoxDetector(section, appearances, CAMERA)
+        case "markers":
+            return MarkerDetector(section, appearances, CAMERA)
+        case "blobs":
+            return BlobDetector(section, appearances[0], CAMERA)
+    return DrawnDetector(appearances, CAMERA, section.min_score)
 
 
 def look(tally: Tally, scene: Scene, renderer: Renderer, detector: Detector, quality: int) -> None:
@@ -197,7 +260,7 @@ def benchmark(
     """Print how well and how fast targets of a group are found."""
     rng = np.random.default_rng(seed)
     renderer = Renderer(CAMERA, seed)
-    tally = Tally()
+    tally = Tally(called={name: name for name in appearances})
     for _ in range(num_pictures):
         scene = random_scene(rng, height_m, appearances=appearances)
         look(tally, scene, renderer, detector, Simulation().jpeg_quality)
@@ -205,22 +268,26 @@ def benchmark(
     print("\n".join(tally.lines()))
 
 
-def compare(detector: Detector, seed: int, num_pictures: int) -> None:
+def compare(subject: Subject, seed: int, num_pictures: int) -> None:
     """Print what unkind pictures do to a detector, a line of Markdown for each condition."""
-    tallies = {name: Tally() for name in CONDITIONS}
+    detector = make_detector(subject.section, list(subject.called.values()))
+    tallies = {name: Tally(called=subject.called) for name in CONDITIONS}
     num_each = math.ceil(num_pictures / len(CONDITIONS) / NUM_WORLDS)
     for world in range(seed, seed + NUM_WORLDS):
         for name, simulation in CONDITIONS.items():
             rng = np.random.default_rng(world)  # the same scenes for all
             renderer = Renderer(CAMERA, world, simulation)
             for _ in range(num_each):
-                scene = unkind_scene(rng, 20.0 if "tilted" in name else 15.0)
+                scene = unkind_scene(rng, subject, 20.0 if "tilted" in name else 15.0)
                 look(tallies[name], scene, renderer, detector, simulation.jpeg_quality)
-    print(f"seeds {seed} to {world}, {num_each * NUM_WORLDS} pictures each, {ALL_HEIGHT_M:g} m\n")
-    print(f"| pictures | recall: {' | '.join(GROUPS)} | precision | named right | error | time |")
-    print("|---|---|---|---|---|---|---|---|")
+    print(
+        f"seeds {seed} to {world}, {num_each * NUM_WORLDS} pictures each, {subject.height_m:g} m\n"
+    )
+    groups = subject.groups
+    print(f"| pictures | recall: {' | '.join(groups)} | precision | named right | error | time |")
+    print("|---" * (5 + len(groups)) + "|")
     for name, tally in tallies.items():
-        recalls = " | ".join(f"{tally.recall(of):.1%}" for of in GROUPS.values())
+        recalls = " | ".join(f"{tally.recall(of):.1%}" for of in groups.values())
         median_m, p95_m = tally.error_m
         print(
             f"| {name} | {recalls} | {tally.precision:.1%} | {tally.accuracy:.1%} | "
@@ -228,12 +295,12 @@ def compare(detector: Detector, seed: int, num_pictures: int) -> None:
         )
 
 
-def unkind_scene(rng: np.random.Generator, max_tilt_deg: float) -> Scene:
-    """A scene with all appearances, three of them near, as a drone sees it that moves and turns."""
+def unkind_scene(rng: np.random.Generator, subject: Subject, max_tilt_deg: float) -> Scene:
+    """A scene with all looks, three of them near, as a drone sees it that moves and turns."""
     scene = random_scene(
         rng,
-        ALL_HEIGHT_M,
-        appearances=APPEARANCES,
+        subject.height_m,
+        appearances=subject.looks,
         num_near=3,
         max_tilt_rad=math.radians(max_tilt_deg),
     )
@@ -281,23 +348,30 @@ def main() -> None:
     parser.add_argument("--min-score", type=float, default=MIN_SCORE, help=f"default: {MIN_SCORE}")
     modes = parser.add_mutually_exclusive_group()
     modes.add_argument("--measure", action="store_true", help="print the prototypes instead")
-    modes.add_argument("--conditions", action="store_true", help="print a table of all, instead")
+    what = "print a table of unkind pictures instead; of drawings if nothing is said"
+    modes.add_argument("--conditions", nargs="?", const="drawn", choices=[*SUBJECTS], help=what)
     options = parser.parse_args()
-    if options.measure and options.network:
-        parser.error("--measure is of the drawn detector; leave --network out")
+    if (options.measure or options.conditions in ("markers", "blobs")) and options.network:
+        parser.error("--network is for drawings; leave it out")
     if min(options.pictures or 1, options.height_m or 1.0) <= 0 or (options.seed or 0) < 0:
         parser.error("--pictures and --height-m are above 0, --seed 0 or more")
     cv2.setNumThreads(1)
     pictures, of = options.pictures or 500, GROUPS[options.of]
-    if options.conditions:
-        detector = make_detector(options.network, options.min_score, APPEARANCES)
-        compare(detector, options.seed or 0, options.pictures or 1000)
-    elif options.measure:
-        seed = 10001 if options.seed is None else options.seed
-        measure(seed, pictures, of, options.height_m)
-    else:
-        detector = make_detector(options.network, options.min_score, of)
-        benchmark(detector, options.seed or 0, pictures, of, options.height_m)
+    section = section_of(options.network, options.min_score)
+    try:
+        if options.measure:
+            seed = 10001 if options.seed is None else options.seed
+            measure(seed, pictures, of, options.height_m)
+        elif options.conditions:
+            subject = SUBJECTS[options.conditions]
+            if options.conditions == "drawn":
+                subject = replace(subject, section=section)
+            compare(subject, options.seed or 0, options.pictures or 1000)
+        else:
+            detector = make_detector(section, of)
+            benchmark(detector, options.seed or 0, pictures, of, options.height_m)
+    except OptionError as exc:
+        raise SystemExit(f"--network: {exc}") from exc
 
 
 if __name__ == "__main__":
