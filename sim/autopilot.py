@@ -52,6 +52,7 @@ class Autopilot:
     breach:      what the fence says, for reasons of its own
     board:       number of its board, as no other vehicle has it
     gimbal:      what it manages, if it carries one
+    has_rangefinder: whether it has one that looks down; is_range_lost: and that finds no ground
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class Autopilot:
         self.battery_level = 1.0
         self.board = secrets.randbits(63)
         self.gimbal: Gimbal | None = None
+        self.has_rangefinder = self.is_range_lost = False
         self.num_boots = 0
         self.reboot()
 

@@ -72,6 +72,7 @@ class MockFlight:
         )
         self.autopilot.set_clock(clock_s)
         self.autopilot.gimbal = Gimbal() if mission.camera.gimbal else None
+        self.autopilot.has_rangefinder = mission.area.rangefinder
         self._world = world
         self._frame: AreaFrame = world.frame(HOME_NED_M, origin)
         self._links: list[MavlinkLink] = []
@@ -100,6 +101,7 @@ class MockFlight:
         autopilot.ignores_setpoints = "ignore" in self.faults.active
         autopilot.problems = (_PROBLEM,) if "unarmable" in self.faults.active else ()
         autopilot.breach = _BREACH if "fence" in self.faults.active else None
+        autopilot.is_range_lost = "range" in self.faults.active
         if autopilot.gimbal is not None:
             autopilot.gimbal.is_silent = "gimbal" in self.faults.active
             autopilot.gimbal.askew_rad = math.radians(self.faults.active.get("askew", 0.0))

@@ -48,6 +48,8 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
 )
 _SOFTWARE_VERSION = 1 << 24 | 17 << 16 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL
+_RANGE_M = (0.1, 120.0)
+"""Least and greatest range of the rangefinder."""
 _CELL_EMPTY_V, _CELL_FULL_V = 3.5, 4.05
 _HOVER_CURRENT_A = 15.0
 
@@ -342,6 +344,22 @@ def _autopilot_version(autopilot: Autopilot) -> Any:
     )
 
 
+def _distance_sensor(autopilot: Autopilot) -> Any:
+    """Along the body's own down, as PX4's simulated one: 0 where there is no ground in reach."""
+    if not autopilot.has_rangefinder:
+        return None
+    body = autopilot.body
+    leaning = math.cos(body.roll) * math.cos(body.pitch)
+    range_m = (body.ground_down_m - body.position[2]) / max(leaning, 1e-6)
+    is_found = not autopilot.is_range_lost and _RANGE_M[0] <= range_m <= _RANGE_M[1]
+    least_cm, most_cm = (round(100.0 * limit) for limit in _RANGE_M)
+    return mavlink.MAVLink_distance_sensor_message(
+        time_boot_ms(autopilot),
+        *(least_cm, most_cm, round(100.0 * range_m) if is_found else 0),
+        *(mavlink.MAV_DISTANCE_SENSOR_LASER, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 0),
+    )
+
+
 def _gimbal_device_attitude_status(autopilot: Autopilot) -> Any:
     """Stamped with the gimbal's own time, and turned from the vehicle's heading."""
     gimbal, since_s = autopilot.gimbal, autopilot.time_s - GIMBAL_BOOT_S
@@ -366,6 +384,7 @@ STREAMS: dict[int, tuple[Builder, float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (_attitude_quaternion, 49.0),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (_global_position_int, 49.0),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: (_gps_raw_int, 8.0),
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: (_distance_sensor, 10.0),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: (_sys_status, 5.0),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (_extended_sys_state, 5.0),
     mavlink.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 10.0),

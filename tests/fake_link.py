@@ -75,6 +75,9 @@ class FakeVehicle:
         self.parameters |= {"COM_OBL_RC_ACT": 3.0, "COM_RC_OVERRIDE": 3.0, "GF_ACTION": 3.0}
         self.has_sticks = True
         self.fence: tuple[FenceItem, ...] = ()
+        self.is_range_lost = False
+        self.ground_m = 0.0
+        """How far the ground below lies under that at home."""
         self.is_gimbal_silent = False
         self.gimbal_off_deg = 0.0
         """By how much the gimbal looks above what it is told."""
@@ -208,6 +211,7 @@ class FakeLink:
             "reject": reject,
             "gps": lose_gps,
             "gimbal": lambda is_on: setattr(vehicle, "is_gimbal_silent", bool(is_on)),
+            "range": lambda is_on: setattr(vehicle, "is_range_lost", bool(is_on)),
             "askew": lambda off_deg: setattr(vehicle, "gimbal_off_deg", off_deg or 0.0),
             "camera": lambda is_on: setattr(self, "is_camera_silent", bool(is_on)),
             "freeze": lambda is_on: setattr(self, "is_camera_frozen", bool(is_on)),
@@ -273,6 +277,7 @@ class FakeLink:
             else Landed.ON_GROUND,
             battery=vehicle.battery,
             estimate_doubts=(),
+            range_limits_m=None if vehicle.is_range_lost else (0.1, 120.0),
             has_sticks=vehicle.has_sticks,
             gps=GpsFix(is_3d=True, num_satellites=14, dilution=0.8),
             hardware=self.hardware,
@@ -376,6 +381,13 @@ class FakeLink:
             is_from_heading=True,
         )
         return before, replace(before, time_s=time_s + STEP_S)
+
+    async def range_at(self, time_s: float) -> float:
+        await self.wait_until(lambda: self.time_s > time_s, "the rangefinder", 1.0)
+        if self.vehicle.is_range_lost:
+            raise CameraError("the rangefinder finds no ground 0.1 to 120 m below the drone")
+        height_m = self.vehicle.ground_m - self.vehicle.position[2]
+        return height_m / float(body_to_ned(self.vehicle.attitude_rad)[2, 2])
 
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         end_s = self.time_s + timeout_s if self._poses else math.inf

@@ -76,6 +76,8 @@ class Area(Section):
     """Longitude of the centre, from which metres count; home if absent."""
     terrain: str | None = None
     """Heights of the ground: a GeoTIFF, or an ESRI ASCII grid in degrees (.asc); flat if absent."""
+    rangefinder: bool = False
+    """Whether pictures are laid on level ground as far down as the drone's rangefinder tells."""
 
     @property
     def size(self) -> tuple[str, float]:

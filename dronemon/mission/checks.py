@@ -12,7 +12,7 @@ from dronemon.mission.addresses import is_video_file
 from dronemon.mission.detector import KEYS_OF_KIND, DetectorSection
 from dronemon.mission.document import Problem
 from dronemon.mission.faults import parse_fault
-from dronemon.mission.field import field_problems, place_problems, reach_m
+from dronemon.mission.field import field_problems, mission_obstacles, place_problems, reach_m
 from dronemon.mission.schema import Mission
 from dronemon.types import APPEARANCES
 
@@ -40,6 +40,9 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
     if flight.follow_terrain and mission.area.terrain is None:
         what = "needs area.terrain, a file of the ground's heights; name it, or leave this out"
         yield ("flight", "follow_terrain"), what
+    if not flawed and mission.area.rangefinder and mission_obstacles(mission):
+        what = "knows nothing of what stands there; leave height_m out of the zones, or this out"
+        yield ("area", "rangefinder"), what
     if not flawed and (problem := battery_problem(mission)):
         horizon = "horizon_min" if flight.horizon_min is not None else "horizon_au"
         yield ("flight", horizon if flight.relay is None else "endurance_min"), problem

@@ -44,6 +44,7 @@ KINDS = {
     "askew": FaultKind(
         what="the gimbal looks VALUE degrees above where it should", values=(0.0, 90.0)
     ),
+    "range": FaultKind(what="the rangefinder finds no ground"),
     "camera": FaultKind(what="no pictures"),
     "late": FaultKind(what="pictures arrive VALUE seconds late", values=_SECONDS),
     "torn": FaultKind(what="pictures end half-way"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import MappingProxyType
 
 from dronemon.errors import CameraError
@@ -12,6 +13,7 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 
 _LEAST_SATELLITES, _GOOD_SATELLITES = 6, 8
 _GOOD_DILUTION, _WORST_DILUTION = 2.0, 2.5
+_RANGED_TILT_DEG = 15.0
 CLIMBING = MappingProxyType({"MPC_Z_VEL_MAX_UP": 3.0, "MPC_Z_VEL_MAX_DN": 1.5})
 """How fast PX4 climbs and sinks at most, as it comes."""
 
@@ -58,6 +60,26 @@ def on_gimbal(facts: Facts, mission: Mission) -> Judgement:
     if not mission.camera.gimbal:
         return go("none: the camera is fixed to the drone")
     return go("it looks straight down") if facts.gimbal is None else no(facts.gimbal)
+
+
+def on_rangefinder(facts: Facts, mission: Mission) -> Judgement:
+    """Whether the ground is told from as high as the flight will be over it."""
+    if not mission.area.rangefinder:
+        return go("it is not asked: area.rangefinder is not given")
+    if facts.range_limits_m is None:
+        return no(
+            "pictures are to be laid on the ground that it finds; have the autopilot send "
+            "DISTANCE_SENSOR of one that looks down, or leave area.rangefinder out"
+        )
+    relief, altitude_m = facts.relief, mission.flight.altitude_m
+    most_m = relief.most_m if relief is not None else altitude_m
+    needed_m = most_m / math.cos(math.radians(_RANGED_TILT_DEG))
+    if facts.range_limits_m[1] < needed_m:
+        return no(
+            f"{needed_m:.0f} m are needed, {most_m:.0f} m up and leaning by "
+            f"{_RANGED_TILT_DEG:g} degrees; fly lower, or leave area.rangefinder out"
+        )
+    return go("it tells how far the ground is")
 
 
 def on_relief(facts: Facts, mission: Mission) -> Judgement:

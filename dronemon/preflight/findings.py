@@ -103,6 +103,7 @@ class Facts:
     relief:          the ground below; None where it is taken for flat, or not known yet
     sight:           how the camera's first picture came, or why not
     gimbal:          what is against the gimbal; None if it looks down, or there is none
+    range_limits_m:  least and greatest range that the rangefinder tells; None if none is heard
     detector:        what is against the detector; None if it was tried
     free_bytes:      room for the record; needed_bytes: what a flight may need
     hold_limit_s:    for how long the guard lets a failsafe hold before it asks for the return
@@ -120,6 +121,7 @@ class Facts:
     relief: Relief | None = None
     sight: Sight | CameraError
     gimbal: str | None = None
+    range_limits_m: tuple[float, float] | None = None
     detector: str | None = None
     free_bytes: int
     needed_bytes: int

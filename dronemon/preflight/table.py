@@ -32,6 +32,12 @@ def _sight(facts: Facts) -> str:
     return f"a picture after {sight.wait_s:.2f} s, {sight.age_s:.2f} s old"
 
 
+def _range(facts: Facts) -> str:
+    if (limits_m := facts.range_limits_m) is None:
+        return "not heard"
+    return f"{limits_m[0]:g} to {limits_m[1]:g} m"
+
+
 def _relief(facts: Facts) -> str:
     if (relief := facts.relief) is None:
         return "taken for flat"
@@ -68,6 +74,7 @@ TABLE = (
         lambda f: "not heard" if f.remote_id is None else "not ready" if f.remote_id else "ready"),
     Row("gimbal", (), equipment.on_gimbal,
         lambda f: "ready" if f.gimbal is None else "failed"),
+    Row("rangefinder", (), equipment.on_rangefinder, _range),
     Row("ground below", (), equipment.on_relief, _relief),
     Row("camera", (), equipment.on_camera, _sight),
     Row("detector", (), equipment.on_detector,

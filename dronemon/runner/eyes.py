@@ -19,16 +19,21 @@ from dronemon.vision.ground_error import ground_covariance, radius_m
 from dronemon.vision.observe import observe
 from dronemon.vision.owners import NOBODY, Owners
 from dronemon.vision.project import shown_radius_m
-from dronemon.vision.surface import Surface, down_below_m
+from dronemon.vision.surface import Plane, Surface, down_below_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """A picture and where it was taken from. told: how far off that may be, `told_covariance`."""
+    """A picture and where it was taken from.
+
+    told:          how far off that may be, `told_covariance`
+    ground_down_m: down coordinate of the ground below, where a rangefinder told it
+    """
 
     picture: Picture
     pose: Pose
     told: FloatArray
+    ground_down_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,19 +79,21 @@ class Eyes:
         little ground to say that there is none.
         """
         picture, pose, camera = shot.picture, shot.pose, self._mission.camera.model
-        detections = look(self._detector, picture.image, pose, down_below_m(self._surface, pose))
+        surface = self._surface if shot.ground_down_m is None else Plane(shot.ground_down_m)
+        ground_down_m = down_below_m(surface, pose)
+        detections = look(self._detector, picture.image, pose, ground_down_m)
         measurement, owners = observe(
             detections,
             pose=pose,
             camera=camera,
             frame=self._frame,
-            surface=self._surface,
+            surface=surface,
             owners=self._owners,
             sightings=self.belief.sightings,
             time_au=self._frame.s_to_au(picture.time_s - start_s),
         )
         if not measurement.seen.any():
-            self._check_view(pose)
+            self._check_view(pose, ground_down_m)
         score = np.full(len(self._names), np.nan)
         pixels_px = np.full((len(self._names), 2), np.nan)
         for found, target in zip(detections, owners, strict=True):
@@ -97,13 +104,12 @@ class Eyes:
             detections=detections,
             owners=owners,
             score=score,
-            covariance_m2=ground_covariance(pixels_px, camera, pose, self._surface, shot.told),
+            covariance_m2=ground_covariance(pixels_px, camera, pose, surface, shot.told),
             measurement=measurement,
         )
 
-    def _check_view(self, pose: Pose) -> None:
+    def _check_view(self, pose: Pose, ground_down_m: float) -> None:
         """Raise where it is the camera that shows too little, not what stands in the way."""
-        ground_down_m = down_below_m(self._surface, pose)
         shown_m = shown_radius_m(self._mission.camera.model, pose, ground_down_m)
         needed_m = LEAST_VIEW_AU * self._frame.side_m
         if shown_m < needed_m:

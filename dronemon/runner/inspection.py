@@ -177,6 +177,7 @@ async def find(
         relief=_relief(mission, frame, link),
         sight=sight,
         gimbal=gimbal,
+        range_limits_m=state.range_limits_m,
         detector=detector,
         free_bytes=shutil.disk_usage(setup.folder).free,
         needed_bytes=NEEDED_BYTES,

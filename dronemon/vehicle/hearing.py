@@ -9,6 +9,7 @@ from typing import Any
 
 from dronemon.errors import CommandUnconfirmed, LinkLost, LinkTimeout, VehicleError
 from dronemon.types import GimbalAttitude, Pose
+from dronemon.vehicle import rangefinder
 from dronemon.vehicle.gimbal import GAP_S
 from dronemon.vehicle.link import StatusText, VehicleState
 from dronemon.vehicle.mode_watch import ModeWatch
@@ -127,6 +128,13 @@ class Hearing:
         while gimbal.newest_s < time_s and self.pose.time_s < time_s + GAP_S:
             await self.next_message()
         return gimbal.around(time_s)
+
+    async def range_at(self, time_s: float) -> float:
+        """Wait for the rangefinder's readings about an instant."""
+        track = self.telemetry.rangefinder
+        while track.newest_s < time_s and self.pose.time_s < time_s + rangefinder.GAP_S:
+            await self.next_message()
+        return track.at(time_s)
 
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true."""

@@ -97,6 +97,8 @@ class VehicleState:
     gps: GpsFix | None = None
     remote_id: str | None = None
     """What its remote ID has against arming, nothing if it is ready; None if none is heard."""
+    range_limits_m: tuple[float, float] | None = None
+    """Least and greatest range that its rangefinder tells downwards; None if none is heard."""
     has_sticks: bool = False
     """Whether a remote control is heard."""
     hardware: str | None = None
@@ -177,6 +179,12 @@ class VehicleLink(Protocol):
         """Wait for the gimbal's attitudes just before and just after an instant.
 
         Raises CameraError where they are not heard.
+        """
+
+    async def range_at(self, time_s: float) -> float:
+        """Wait for what the rangefinder tells of an instant: m down from the vehicle's body.
+
+        Raises CameraError where it is not heard, or finds no ground.
         """
 
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:

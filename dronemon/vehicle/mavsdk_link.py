@@ -145,6 +145,10 @@ class MavsdkLink:
         """Wait for the gimbal's attitudes just before and just after an instant."""
         return await self._heard.gimbal_around(time_s)
 
+    async def range_at(self, time_s: float) -> float:
+        """Wait for what the rangefinder tells of an instant."""
+        return await self._heard.range_at(time_s)
+
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true."""
         await self._heard.wait_until(condition, what, timeout_s)

@@ -22,6 +22,7 @@ from dronemon.vehicle.gimbal import GIMBAL_MESSAGES, GimbalTrack
 from dronemon.vehicle.link import Landed, Mode, StatusText, VehicleState
 from dronemon.vehicle.motor_watch import MotorWatch
 from dronemon.vehicle.px4 import REMOTE_ID_STATUS, ROTORCRAFT, mode_of
+from dronemon.vehicle.rangefinder import RANGE_MESSAGE, RangeTrack
 from dronemon.vehicle.status_texts import StatusTexts
 from dronemon.vehicle.unstamped import Unstamped
 from dronemon.vehicle.vehicle_clock import LATE_MS, VehicleClock
@@ -44,6 +45,7 @@ _UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message st
     },
     "GPS_RAW_INT": {"gps": None},
     REMOTE_ID_STATUS: {"remote_id": None},
+    RANGE_MESSAGE: {"range_limits_m": None},
 }
 _ESTIMATED = {
     "attitude": mavlink.ESTIMATOR_ATTITUDE,
@@ -72,12 +74,14 @@ class Telemetry:
     num_heartbeats: of the autopilot, so far
     texts:          what it says in words
     gimbal:         how its gimbal was turned of late, if it has one
+    rangefinder:    how far the ground below it was of late, likewise
     """
 
     def __init__(self) -> None:
         self.num_heartbeats = 0
         self.texts = StatusTexts()
         self.gimbal = GimbalTrack()
+        self.rangefinder = RangeTrack()
         self._state = VehicleState()
         self._clock = VehicleClock()
         self._motors = MotorWatch()
@@ -101,6 +105,7 @@ class Telemetry:
             "GPS_RAW_INT": lambda fields: self._update(gps=_gps_fix(fields)),
             "AUTOPILOT_VERSION": self._on_version,
             REMOTE_ID_STATUS: self._on_remote_id,
+            RANGE_MESSAGE: self._on_range,
             "STATUSTEXT": lambda fields: self.texts.take(fields, self.time_s),
             **{name: partial(self._on_gimbal, name) for name in GIMBAL_MESSAGES},
         }
@@ -239,6 +244,7 @@ class Telemetry:
             self._status.forget()
             self._landed.forget()
             self.gimbal.forget()
+            self.rangefinder.forget()
             self._heard_s.clear()
         if time_s is None or self._position is None:
             return
@@ -269,6 +275,11 @@ class Telemetry:
     def _on_gimbal(self, name: str, fields: dict[str, Any]) -> None:
         if self._poses:  # before, it is not known when it is
             self.gimbal.take(name, fields, self.time_s)
+
+    def _on_range(self, fields: dict[str, Any]) -> None:
+        if self._poses:  # as of a gimbal
+            self.rangefinder.take(fields, self._clock.time_s(fields["time_boot_ms"]))
+            self._update(range_limits_m=self.rangefinder.limits_m)
 
     def _on_sys_status(self, fields: dict[str, Any]) -> None:
         remaining = _whole(fields["battery_remaining"], -1, 100)

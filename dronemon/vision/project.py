@@ -57,6 +57,11 @@ def on_gimbal(pose: Pose, before: GimbalAttitude, after: GimbalAttitude) -> Pose
     return replace(pose, attitude_rad=attitude_of(rotation))
 
 
+def ground_below_m(pose: Pose, range_m: float) -> float:
+    """Down coordinate of ground that a vehicle's rangefinder, fixed to its body, looks at."""
+    return pose.position_ned_m[2] + range_m * float(body_to_ned(pose.attitude_rad)[2, 2])
+
+
 def turning(before: Pose, after: Pose) -> Vector3:
     """How fast roll, pitch and yaw change between two poses, in rad/s; 0 where no time passes."""
     passed_s = after.time_s - before.time_s

@@ -31,7 +31,7 @@ Story = Callable[[VehicleLink], Awaitable[None]]
 def with_link(request):
     """Run a story with a ready link to a fresh vehicle; `faults` as for `python -m sim`.
 
-    It has a gimbal.
+    It has a gimbal and a rangefinder.
     """
 
     async def tell(link: MavsdkLink | FakeLink, story: Story) -> None:
@@ -47,7 +47,10 @@ def with_link(request):
         start = request.getfixturevalue("mock_vehicle")
         mission = request.getfixturevalue("tmp_path") / "gimbal.yaml"
         mission.write_text(
-            (ROOT / "missions" / "animals.yaml").read_text() + "camera: {gimbal: true}\n"
+            (ROOT / "missions" / "animals.yaml")
+            .read_text()
+            .replace("area:\n", "area:\n  rangefinder: true\n")
+            + "camera: {gimbal: true}\n"
         )
         url = start(mission, "--speed-up", "20", *options).url
         link = MavsdkLink(url, command_timeout_s=9.0, link_loss_timeout_s=2.0)
@@ -134,6 +137,26 @@ def test_a_gimbal_is_pointed_down_and_heard(with_link):
             np.testing.assert_allclose(camera_to_ned(attitude, 0.0), np.eye(3), atol=0.01)
 
     with_link(story)
+
+
+@in_memory_first
+@pytest.mark.parametrize("fault", [(), ("range@1",)], ids=["ground", "none"])
+def test_how_far_the_ground_is_below_is_told_of_an_instant(with_link, fault):
+    async def story(link: VehicleLink) -> None:
+        assert link.state.range_limits_m == pytest.approx((0.1, 120.0))
+        ground_down_m = link.pose.position_ned_m[2]
+        await link.arm()
+        await link.take_off(20.0)
+        if fault:
+            with pytest.raises(CameraError, match=r"finds no ground 0\.1 to 120 m below"):
+                await link.range_at(link.time_s + 0.3)
+        else:
+            asked_s = link.time_s + 0.3
+            range_m = await link.range_at(asked_s)
+            _, after = await link.poses_around(asked_s)
+            assert range_m == pytest.approx(ground_down_m - after.position_ned_m[2], abs=1.0)
+
+    with_link(story, *fault)
 
 
 @in_memory_first

@@ -138,6 +138,13 @@ def test_over_hills_no_flight_goes_over_what_stands_somewhere(load):
         assert len(mission_arena(load(area)).no_fly_au) == count
 
 
+def test_a_rangefinder_knows_of_nothing_that_stands_on_the_ground(load):
+    wood = "no_fly: [{name: wood, height_m: 12, polygon_m: [[0, 60], [9, 60], [9, 69]]}]"
+    load(f"rangefinder: true, {wood.replace('height_m: 12, ', '')}")
+    with pytest.raises(MissionFileError, match=r"area\.rangefinder: knows nothing of what stands"):
+        load(f"rangefinder: true, {wood}")
+
+
 def test_a_zone_that_covers_all_may_be_flown_over(load):
     roofs = f"no_fly: [{{name: roofs, below_m: 20, polygon_m: {COVER_M}}}]"
     assert mission_arena(load(roofs)).no_fly_au == ()

@@ -30,7 +30,7 @@ from sim.parameters import TABLE as MOCK
 GO, WARNING, NO_GO = Verdict
 MISSION = Mission.model_validate(
     {
-        "area": {"side_m": 200},
+        "area": {"side_m": 200, "rangefinder": True},
         "flight": {"horizon_au": 20},
         "camera": {"gimbal": True},
         "targets": [{"name": "Bella", "appearance": "cow"}],
@@ -48,6 +48,7 @@ FACTS = Facts(
     estimate_doubts=(),
     gps=GpsFix(is_3d=True, num_satellites=14, dilution=0.8),
     remote_id=None,
+    range_limits_m=(0.1, 60.0),
     sight=Sight(wait_s=0.1, age_s=0.1),
     free_bytes=200,
     needed_bytes=100,
@@ -331,6 +332,10 @@ def test_a_ceiling_stays_where_a_lower_return_is_below_it():
         ("remote ID", {"remote_id": "no operator"}, NO_GO),
         ("gimbal", {}, GO),
         ("gimbal", {"gimbal": "no attitude is heard"}, NO_GO),
+        ("rangefinder", {}, GO),
+        ("rangefinder", {"range_limits_m": None}, NO_GO),
+        ("rangefinder", {"range_limits_m": (0.1, 46.0)}, NO_GO),
+        ("rangefinder", {"range_limits_m": (0.1, 47.0)}, GO),
         ("camera", {"sight": CameraError("no picture came")}, NO_GO),
         ("camera", {"sight": Sight(wait_s=9.0, age_s=0.0)}, WARNING),
         ("detector", {"detector": "it failed"}, NO_GO),
