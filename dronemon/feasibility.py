@@ -7,12 +7,17 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import groupby
 
+import numpy as np
+
 from dronemon.card import find_checkpoint, read_card
 from dronemon.errors import CameraError, MissionFileError, OptionError, PolicyError
+from dronemon.frames import ned_to_degrees
 from dronemon.mission import (
     Mission,
     MissionFile,
+    field_centre,
     find_mission,
+    lay_frame,
     load_mission,
     mission_arena,
     mission_obstacles,
@@ -27,6 +32,9 @@ from dronemon.planner.registry import is_bound
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.vision.view import needed_altitude_m, needed_px_per_m, px_per_m, tilt_rad
 from dronemon.world.motions import motion_flaw
+
+_TERRAIN_LOOKS = 50
+"""Along each side of the area, for its heights."""
 
 
 def load_checked(name: str, overrides: Overrides, follow: str | None) -> MissionFile:
@@ -319,15 +327,32 @@ def _lens_problems(mission: Mission) -> Iterator[Problem]:
 
 
 def _terrain_problems(mission: Mission) -> Iterator[Problem]:
-    """Whether the ground's heights can be read."""
+    """Whether the ground's heights can be read, and are those of the area, if it is known where.
+
+    Whether they are of the take-off and the ways there, too, preflight sees.
+    """
     if mission.area.terrain is None:
         return
     from dronemon.vision.heights import read_heights
 
     try:
-        read_heights(mission.area.terrain)
+        grid, centre = read_heights(mission.area.terrain), field_centre(mission.area)
     except MissionFileError as exc:
         yield ("area", "terrain"), str(exc)
+        return
+    if centre is None:
+        return
+    frame = lay_frame(mission, (0.0, 0.0), 0.0)
+    places_deg = ned_to_degrees(frame.au_to_ned(frame.arena.grid(_TERRAIN_LOOKS)), centre)
+    if (is_unknown := np.isnan(grid.at(places_deg))).any():
+        latitude, longitude = places_deg[is_unknown][0].tolist()
+        south, west, north, east = grid.bounds_deg
+        yield (
+            ("area", "terrain"),
+            f"{mission.area.terrain}: has no height at {latitude:.5f}, {longitude:.5f} in the "
+            f"area; it reaches from {south:.5f}, {west:.5f} to {north:.5f}, {east:.5f}; name a "
+            "larger grid, or one without gaps, or see whether the area lies where it should",
+        )
 
 
 def _detector_problems(mission: Mission) -> Iterator[Problem]:

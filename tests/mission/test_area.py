@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from hills import hill, write_hills
 
 from dronemon.errors import MissionFileError
 from dronemon.feasibility import flight_facts, load_checked
@@ -136,6 +137,25 @@ def test_over_hills_no_flight_goes_over_what_stands_somewhere(load):
     ):
         area = f"{terrain}no_fly: [{{{wood}{height}}}]"
         assert len(mission_arena(load(area)).no_fly_au) == count
+
+
+def test_heights_are_those_of_the_area_where_that_is_known(load, tmp_path: Path):
+    middle = GeoPoint(latitude_deg=-2.0, longitude_deg=34.0)
+    write_hills(tmp_path / "hills.asc", middle, hill(10.0, 40.0))  # 330 m across
+    for place, known in (
+        ("", True),
+        ("latitude_deg: -2.0, longitude_deg: 34.0, ", True),
+        ("latitude_deg: -2.001, longitude_deg: 34.0, ", False),
+        ("latitude_deg: 34.0, longitude_deg: -2.0, ", False),
+    ):
+        area = f"{place}side_m: 200, terrain: hills.asc"
+        if known:
+            load(area, _check)
+        else:
+            with pytest.raises(
+                MissionFileError, match=r"hills\.asc: has no height at"
+            ):
+                load(area, _check)
 
 
 def test_a_rangefinder_knows_of_nothing_that_stands_on_the_ground(load):
