@@ -351,8 +351,11 @@ def main() -> None:
     what = "print a table of unkind pictures instead; of drawings if nothing is said"
     modes.add_argument("--conditions", nargs="?", const="drawn", choices=[*SUBJECTS], help=what)
     options = parser.parse_args()
-    if (options.measure or options.conditions in ("markers", "blobs")) and options.network:
-        parser.error("--network is for drawings; leave it out")
+    is_drawn = not options.measure and options.conditions in (None, "drawn")
+    if not is_drawn and (options.network or options.min_score != MIN_SCORE):
+        parser.error("--network and --min-score are for drawings; leave them out")
+    if options.conditions and options.height_m:
+        parser.error("--conditions has its own heights; leave --height-m out")
     if min(options.pictures or 1, options.height_m or 1.0) <= 0 or (options.seed or 0) < 0:
         parser.error("--pictures and --height-m are above 0, --seed 0 or more")
     cv2.setNumThreads(1)

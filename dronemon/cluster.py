@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import signal
 import socket
 import tempfile
 import time
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from ipaddress import ip_address
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, Thread, current_thread, main_thread
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
@@ -134,6 +135,17 @@ def _ray(address: str) -> ModuleType:
     return ray
 
 
+@contextmanager
+def _own_end() -> Iterator[None]:
+    """What SIGTERM does stays as it is: Ray would have it end this process by another."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if before is not None and current_thread() is main_thread():
+            signal.signal(signal.SIGTERM, before)
+
+
 def _connect(ray: ModuleType, address: str, num_workers: int | None, folder: str) -> None:
     """Start Ray or join it. folder: of a Ray of our own, for its logs. Raises OptionError."""
     own: dict[str, Any] = {
@@ -143,12 +155,13 @@ def _connect(ray: ModuleType, address: str, num_workers: int | None, folder: str
         "_temp_dir": f"{folder}/r",  # which Ray opens to all
     }
     try:
-        ray.init(
-            address=address,
-            log_to_driver=False,
-            logging_level="ERROR",
-            **(own if address == "local" else {}),
-        )
+        with _own_end():
+            ray.init(
+                address=address,
+                log_to_driver=False,
+                logging_level="ERROR",
+                **(own if address == "local" else {}),
+            )
     except Exception as exc:  # of any kind, and also if this Python or Ray is not the cluster's
         raise OptionError(f"--ray {address}: {exc}; {_ADVICE[address == 'local']}") from exc
     host = ray.util.get_node_ip_address()

@@ -104,6 +104,8 @@ def doubts(mission: Mission, follow: str | None) -> list[str]:
 def _area_fact(m: Mission) -> str:
     arena, au_m = mission_arena(m), m.area.side_m
     turned = f"heading {m.area.heading_deg:g} degrees"
+    if (centre := field_centre(m.area)) is not None:
+        turned += f", around {centre.latitude_deg:.5f}, {centre.longitude_deg:.5f}"
     if arena.is_rectangle:
         return f"{au_m:g} m side, {turned}"
     width_m, height_m = au_m * arena.extent_au
@@ -136,6 +138,7 @@ def flight_facts(m: Mission) -> dict[str, str]:
     return {
         "targets": ", ".join(_targets_fact(m)),
         "area": _area_fact(m),
+        "ground": _ground_fact(m),
         "altitude": f"{m.flight.altitude_m:g} m{_above(m)}; the sensor radius of "
         f"{m.sensor_radius_m:g} m needs {needed_altitude_m(m):.1f} m, "
         f"{'its gimbal off by' if m.camera.gimbal else 'banked'} "
@@ -162,6 +165,15 @@ def _above(m: Mission) -> str:
     return (
         f" or more above the ground, which it follows up and down slopes of {m.flight.steepest:.0%}"
     )
+
+
+def _ground_fact(m: Mission) -> str:
+    ranged = "; pictures are laid on what the rangefinder finds" if m.area.rangefinder else ""
+    if m.area.terrain is None:
+        return f"taken for flat{ranged}"
+    from dronemon.runner.relief import describe_relief
+
+    return describe_relief(m) + ranged
 
 
 def _camera_fact(m: Mission) -> str:
@@ -337,12 +349,12 @@ def _terrain_problems(mission: Mission) -> Iterator[Problem]:
 
     try:
         grid, centre = read_heights(mission.area.terrain), field_centre(mission.area)
+        frame = lay_frame(mission, (0.0, 0.0), 0.0)
     except MissionFileError as exc:
         yield ("area", "terrain"), str(exc)
         return
     if centre is None:
         return
-    frame = lay_frame(mission, (0.0, 0.0), 0.0)
     places_deg = ned_to_degrees(frame.au_to_ned(frame.arena.grid(_TERRAIN_LOOKS)), centre)
     if (is_unknown := np.isnan(grid.at(places_deg))).any():
         latitude, longitude = places_deg[is_unknown][0].tolist()

@@ -75,6 +75,7 @@ class FakeVehicle:
         self.parameters |= {"COM_OBL_RC_ACT": 3.0, "COM_RC_OVERRIDE": 3.0, "GF_ACTION": 3.0}
         self.has_sticks = True
         self.fence: tuple[FenceItem, ...] = ()
+        self.range_limits_m: tuple[float, float] | None = (0.1, 120.0)
         self.is_range_lost = False
         self.ground_m = 0.0
         """How far the ground below lies under that at home."""
@@ -277,7 +278,7 @@ class FakeLink:
             else Landed.ON_GROUND,
             battery=vehicle.battery,
             estimate_doubts=(),
-            range_limits_m=None if vehicle.is_range_lost else (0.1, 120.0),
+            range_limits_m=vehicle.range_limits_m,
             has_sticks=vehicle.has_sticks,
             gps=GpsFix(is_3d=True, num_satellites=14, dilution=0.8),
             hardware=self.hardware,

@@ -365,6 +365,30 @@ def test_a_ray_of_our_own_listens_on_the_loopback_alone_and_ends_with_us(tmp_pat
     Path(own).rmdir()  # nothing is left in it
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_run_on_a_ray_of_our_own_that_is_terminated_keeps_what_it_has(tmp_path: Path) -> None:
+    own = tempfile.mkdtemp()
+    run, told = tmp_path / "run", tmp_path / "told"
+    words = f"evaluate --planner tsp --targets 4 --instances 500 --first-seed 10000 --out {run}"
+    with told.open("wb") as pipe:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dronemon.cli", *words.split(), "--ray", "local"],
+            cwd=tmp_path,
+            env={**os.environ, "HOME": str(tmp_path), "TMPDIR": own},
+            stdout=pipe,
+            stderr=subprocess.STDOUT,
+        )
+        lines = run / "results.jsonl"
+        while not (lines.exists() and lines.read_bytes().count(b"\n") >= 2):
+            assert process.poll() is None, told.read_text()
+            time.sleep(0.1)
+        process.terminate()
+        assert process.wait(60.0) == 130, told.read_text()
+    assert "stopped; finished episodes are in" in told.read_text()
+    Path(own).rmdir()  # nothing is left in it
+
+
 def run_command(folder: Path, arguments: list[str]) -> None:
     done = subprocess.run(
         [sys.executable, "-W", "error", "-m", "dronemon.cli", *arguments],

@@ -211,6 +211,9 @@ def test_what_cannot_be_asked_is_explained() -> None:
         env.reset(options={"num_nodes": 3})
     with pytest.raises(gymnasium.error.ResetNeeded):
         envs.step(np.zeros(2, dtype=np.int64))
+    for ask in (lambda: env.unwrapped.step(0), make_vec(2, render_mode="rgb_array").render):
+        with pytest.raises(gymnasium.error.ResetNeeded, match="call reset first"):
+            ask()
     with pytest.raises(OptionError, match="3 seeds for 2 episodes"):
         envs.reset(seed=[1, 2, 3])
     for steps in (1.5, float("nan"), None, 0):

@@ -24,7 +24,7 @@ from dronemon.roadmap import MAX_ADDED_NEIGHBOURS
 from dronemon.types import FloatArray, ImageArray
 
 try:
-    from gymnasium import spaces
+    from gymnasium import error, spaces
 except ImportError as exc:
     raise ImportError(
         "dronemon.gym needs Gymnasium, which is not installed: pip install 'dronemon[gym]'"
@@ -79,6 +79,7 @@ class Episodes:
         self._num_ways = min(num_neighbours - 1, num_nodes) + MAX_ADDED_NEIGHBOURS
         self._num_targets = num_targets
         self._env = Env(num_neighbours=num_neighbours, num_threads=num_threads)
+        self._last: Observation | None = None
         self.observation_space: spaces.Space[Any] = self._spaces(
             num_nodes + 1, num_targets + int(prior == "none")
         )
@@ -88,6 +89,13 @@ class Episodes:
             if action == "neighbour"
             else spaces.Box(low, high, dtype=np.float64)
         )
+
+    @property
+    def _seen(self) -> Observation:
+        """What was observed last. Raises ResetNeeded before any episode."""
+        if self._last is None:
+            raise error.ResetNeeded("call reset first")
+        return self._last
 
     def begin(self, seeds: Sequence[int]) -> Shown:
         """Begin the episodes of some seeds: those that `Env` draws from the same ones."""
@@ -127,7 +135,7 @@ class Episodes:
 
     def _show(self, seen: Observation) -> Shown:
         """What is observed, in new arrays."""
-        self._seen = seen
+        self._last = seen
         return self._scene.show(
             node=seen.node.numpy(),
             position_au=seen.position_au.numpy(),

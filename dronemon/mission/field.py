@@ -14,7 +14,7 @@ from dronemon.frames import AreaFrame, GeoPoint, degrees_to_ned, ned_to_geo
 from dronemon.mission.area import Area
 from dronemon.mission.document import Problem
 from dronemon.mission.schema import Mission
-from dronemon.outline import Field, LaidZone, Outline, Ring, away_m, read_outline
+from dronemon.outline import Field, LaidZone, Outline, Ring, away_m, read_outline, unwound
 from dronemon.types import FloatArray, Obstacle
 
 _MOST_CUT_OFF = 0.05
@@ -34,7 +34,7 @@ def lay_field(area: Area, frame: AreaFrame, origin: GeoPoint) -> Field:
     centre = ned_to_geo([*frame.centre_ned_m, 0.0], origin)
     outline = _outline(area)
     if outline is not None:
-        _refuse_far(area, "the field", outline.border_deg, centre)
+        _refuse_far(area, _called(area), outline.border_deg, centre)
         field = outline.laid(origin)
     elif area.polygon_m is not None:
         field = Field(border_ned_m=_from_centre(area.polygon_m, frame), no_fly=())
@@ -76,7 +76,7 @@ def check_near(area: Area, home: GeoPoint) -> None:
     """Refuse a field that is far from home. Raises MissionFileError."""
     outline = _outline(area)
     if outline is not None and area.latitude_deg is None:
-        _refuse_far(area, "the field", outline.border_deg, home)
+        _refuse_far(area, _called(area), outline.border_deg, home)
 
 
 def mission_arena(mission: Mission) -> Arena:
@@ -93,10 +93,12 @@ def mission_arena(mission: Mission) -> Arena:
             margin_au=flight.clearance_m / area.side_m,
         )
     except ValueError as exc:
+        names = ", ".join(zone.name for zone in field.no_fly[:5])
         raise MissionFileError(
-            f"nothing is left to fly in: the drone keeps {flight.clearance_m:.0f} m from the border"
-            " and from no-fly zones, since it cuts corners at cruise speed; fly slower, or enlarge"
-            " the field"
+            f"nothing of {_called(area)} is left to fly in: the drone keeps"
+            f" {flight.clearance_m:.0f} m from the border and from no-fly zones"
+            f"{f' ({names})' if names else ''}, since it cuts corners at cruise speed; fly slower,"
+            " or higher where a zone has below_m, or enlarge the field"
         ) from exc
     if arena.cut_off > _MOST_CUT_OFF:
         raise MissionFileError(
@@ -183,7 +185,20 @@ def field_problems(mission: Mission) -> Iterator[Problem]:
     try:
         mission_arena(mission)
     except MissionFileError as exc:
-        yield ("area", area.border_key or "no_fly"), str(exc)
+        yield ("area", _key_at_fault(mission)), str(exc)
+
+
+def _key_at_fault(mission: Mission) -> str:
+    """Of a field that cannot be flown in: its border's, unless that alone can."""
+    area = mission.area
+    if area.border_key is None:
+        return "no_fly"
+    bare = area.model_copy(update={"no_fly": ()})
+    try:
+        mission_arena(mission.model_copy(update={"area": bare}))
+    except MissionFileError:
+        return area.border_key
+    return "no_fly"
 
 
 def place_problems(mission: Mission) -> Iterator[Problem]:
@@ -209,7 +224,7 @@ def _outline(area: Area) -> Outline | None:
     if area.file is not None:
         return read_outline(area.file)
     if area.polygon_deg is not None:
-        return Outline(border_deg=area.polygon_deg, no_fly=())
+        return Outline(border_deg=unwound(area.polygon_deg, 0.0), no_fly=())
     return None
 
 
@@ -217,6 +232,10 @@ def _from_centre(polygon_m: Sequence[tuple[float, float]], frame: AreaFrame) -> 
     """North and east of corners that are east and north of the area's centre."""
     corners_m: FloatArray = np.asarray(frame.centre_ned_m) + np.array(polygon_m)[:, ::-1]
     return corners_m
+
+
+def _called(area: Area) -> str:
+    return "the field" if area.file is None else f"{area.file}: the field"
 
 
 def _refuse_far(area: Area, what: str, ring: Ring, centre: GeoPoint) -> None:

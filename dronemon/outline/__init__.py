@@ -4,7 +4,13 @@ from dronemon.outline.feature import Ring, check_heights
 from dronemon.outline.field import Field, LaidZone
 from dronemon.outline.outline import Outline, Zone
 from dronemon.outline.reading import read_outline
-from dronemon.outline.rings import away_m, circle_in_metres, ring_in_degrees, ring_in_metres
+from dronemon.outline.rings import (
+    away_m,
+    circle_in_metres,
+    ring_in_degrees,
+    ring_in_metres,
+    unwound,
+)
 
 __all__ = [
     "Field",
@@ -18,4 +24,5 @@ __all__ = [
     "read_outline",
     "ring_in_degrees",
     "ring_in_metres",
+    "unwound",
 ]

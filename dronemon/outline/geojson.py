@@ -17,7 +17,7 @@ from dronemon.outline.feature import (
 from dronemon.outline.json_file import listed, mapped, numbers, parse_json
 from dronemon.outline.rings import polygon_in_degrees
 
-_DEGREES = re.compile(r"(CRS:?84|EPSG:[\d.]*:?4326)$", re.IGNORECASE)
+_DEGREES = re.compile(r"(CRS:?84|EPSG:(?:[\d.]*:)?4326)$", re.IGNORECASE)
 _POINTS_AND_LINES = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
 

@@ -38,7 +38,7 @@ def kml_features(text: str) -> list[Feature]:
     if _tag(root) != "kml":
         raise Flaw(f"not KML: it begins with <{_tag(root)}>, not <kml>")
     _refuse_depth(root)
-    return [_feature(n, mark) for n, mark in enumerate(_all(root, "Placemark"), start=1)]
+    return [_feature(n, mark) for n, mark in enumerate(_marks(root), start=1)]
 
 
 def _feature(number: int, mark: Element) -> Feature:
@@ -90,6 +90,15 @@ def _refuse_depth(root: Element) -> None:
         level = [child for element in level for child in element]
     if level:
         raise Flaw("nested too deeply")
+
+
+def _marks(holder: Element) -> Iterator[Element]:
+    """All placemarks in something; what one of them holds is its own."""
+    for child in holder:
+        if _tag(child) == "Placemark":
+            yield child
+        else:
+            yield from _marks(child)
 
 
 def _all(holder: Element, tag: str) -> Iterator[Element]:

@@ -10,12 +10,12 @@ import shapely
 
 from dronemon.errors import MissionFileError
 from dronemon.frames import GeoPoint
-from dronemon.outline.feature import Feature, Flaw, Polygon, Ring
+from dronemon.outline.feature import Feature, Flaw, Polygon
 from dronemon.outline.geojson import geojson_features
 from dronemon.outline.kml import kml_features
 from dronemon.outline.outline import Outline, Zone
 from dronemon.outline.plan import plan_features
-from dronemon.outline.rings import FARTHEST_M, away_m
+from dronemon.outline.rings import FARTHEST_M, away_m, unwound
 
 _MAX_BYTES = 2_000_000
 _READERS: dict[str, Callable[[str], list[Feature]]] = {
@@ -24,7 +24,10 @@ _READERS: dict[str, Callable[[str], list[Feature]]] = {
     ".json": geojson_features,
     ".plan": plan_features,
 }
-_HOW_TO_MARK = 'begin its name with "no-fly", or give it the property no_fly: true'
+_HOW_TO_MARK = (
+    'begin its name with "no-fly", or give it the property no_fly: true; in a plan, make it an '
+    "exclusion"
+)
 
 
 def read_outline(path: Path | str) -> Outline:
@@ -91,7 +94,7 @@ def _outline(features: list[Feature]) -> Outline:
     border, *holes = _in_one(fields[0])
     zones = [Zone(name="", corners_deg=hole) for hole in holes]
     zones += [zone for feature in shown if feature.is_no_fly for zone in _zones_of(feature)]
-    outline = Outline(border_deg=_unwound(border, 0.0), no_fly=tuple(_named(zones, border[0])))
+    outline = Outline(border_deg=unwound(border, 0.0), no_fly=tuple(_named(zones, border[0])))
     for zone in outline.no_fly:
         if (off_m := away_m(outline.border_deg, GeoPoint.at(zone.corners_deg[0]))) > FARTHEST_M:
             raise Flaw(
@@ -117,7 +120,7 @@ def _named(zones: list[Zone], near: tuple[float, float]) -> Iterator[Zone]:
     for zone in zones:
         number += not zone.name
         name = zone.name or f"zone {number}"
-        yield replace(zone, name=name, corners_deg=_unwound(zone.corners_deg, near[1]))
+        yield replace(zone, name=name, corners_deg=unwound(zone.corners_deg, near[1]))
 
 
 def _in_one(field: Feature) -> Polygon:
@@ -127,7 +130,7 @@ def _in_one(field: Feature) -> Polygon:
         return first
     near_deg = first[0][0][1]
     whole = shapely.union_all(
-        [shapely.Polygon(_unwound(border, near_deg)) for border, *_ in field.polygons]
+        [shapely.Polygon(unwound(border, near_deg)) for border, *_ in field.polygons]
     )
     if not isinstance(whole, shapely.Polygon):
         raise Flaw(
@@ -136,13 +139,3 @@ def _in_one(field: Feature) -> Polygon:
     rings = (whole.exterior, *whole.interiors)
     holes = [hole for _, *others in field.polygons for hole in others]
     return (*(tuple((x, y) for x, y, *_ in ring.coords[:-1]) for ring in rings), *holes)
-
-
-def _unwound(ring: Ring, near_deg: float) -> Ring:
-    """A ring whose longitudes begin near another one, and do not leap."""
-    unwound: list[tuple[float, float]] = []
-    for latitude, longitude in ring:
-        turns = round((near_deg - longitude) / 360.0)
-        near_deg = longitude + 360.0 * turns
-        unwound.append((latitude, near_deg))
-    return tuple(unwound)

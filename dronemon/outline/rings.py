@@ -61,6 +61,16 @@ def polygon_in_degrees(rings: Iterable[Iterable[Sequence[float]]]) -> Polygon:
     return tuple(checked)
 
 
+def unwound(ring: Ring, near_deg: float) -> Ring:
+    """A ring whose longitudes begin near another one, and do not leap."""
+    unwound: list[tuple[float, float]] = []
+    for latitude, longitude in ring:
+        turns = round((near_deg - longitude) / 360.0)
+        near_deg = longitude + 360.0 * turns
+        unwound.append((latitude, near_deg))
+    return tuple(unwound)
+
+
 def circle_in_metres(radius_m: float, *, is_inside: bool) -> FloatArray:
     """A polygon within a circle, or else around it. -> (64, 2) float64 m from its centre."""
     reach_m = radius_m if is_inside else radius_m / math.cos(math.pi / _CIRCLE_SIDES)

@@ -13,7 +13,7 @@ from dronemon.problem import MEASUREMENT_INTERVAL_AU
 
 _LEAST_SATELLITES, _GOOD_SATELLITES = 6, 8
 _GOOD_DILUTION, _WORST_DILUTION = 2.0, 2.5
-_RANGED_TILT_DEG = 15.0
+_RANGED_TILT_DEG = 30.0
 CLIMBING = MappingProxyType({"MPC_Z_VEL_MAX_UP": 3.0, "MPC_Z_VEL_MAX_DN": 1.5})
 """How fast PX4 climbs and sinks at most, as it comes."""
 
@@ -68,8 +68,8 @@ def on_rangefinder(facts: Facts, mission: Mission) -> Judgement:
         return go("it is not asked: area.rangefinder is not given")
     if facts.range_limits_m is None:
         return no(
-            "pictures are to be laid on the ground that it finds; have the autopilot send "
-            "DISTANCE_SENSOR of one that looks down, or leave area.rangefinder out"
+            "pictures are to be laid on the ground that it finds; have the autopilot tell of one "
+            "that looks down, twice a second or more, or leave area.rangefinder out"
         )
     relief, altitude_m = facts.relief, mission.flight.altitude_m
     most_m = relief.most_m if relief is not None else altitude_m

@@ -19,21 +19,21 @@ from dronemon.vision.ground_error import ground_covariance, radius_m
 from dronemon.vision.observe import observe
 from dronemon.vision.owners import NOBODY, Owners
 from dronemon.vision.project import shown_radius_m
-from dronemon.vision.surface import Plane, Surface, down_below_m
+from dronemon.vision.surface import Surface, down_below_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
     """A picture and where it was taken from.
 
-    told:          how far off that may be, `told_covariance`
-    ground_down_m: down coordinate of the ground below, where a rangefinder told it
+    told:    how far off that may be, `told_covariance`
+    surface: of the ground, where it was looked at; None where it is the mission's
     """
 
     picture: Picture
     pose: Pose
     told: FloatArray
-    ground_down_m: float | None = None
+    surface: Surface | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +79,7 @@ class Eyes:
         little ground to say that there is none.
         """
         picture, pose, camera = shot.picture, shot.pose, self._mission.camera.model
-        surface = self._surface if shot.ground_down_m is None else Plane(shot.ground_down_m)
+        surface = shot.surface or self._surface
         ground_down_m = down_below_m(surface, pose)
         detections = look(self._detector, picture.image, pose, ground_down_m)
         measurement, owners = observe(

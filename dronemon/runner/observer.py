@@ -22,6 +22,7 @@ from dronemon.sightings import Sightings
 from dronemon.types import Picture
 from dronemon.vision.ground_error import told_covariance
 from dronemon.vision.project import ground_below_m, interpolate_pose, on_gimbal, turning
+from dronemon.vision.surface import Plane
 
 BLIND_LIMIT_S = 30.0
 """Vehicle time for which the patrol goes on while too few pictures say anything, ..."""
@@ -132,16 +133,16 @@ class Observer:
         """A picture, and where and how its camera was then. Raises CameraError."""
         before, after = await self._link.poses_around(picture.time_s)
         pose, turn_rad_s = interpolate_pose(before, after, picture.time_s), turning(before, after)
-        ground_down_m = None
-        if self._mission.area.rangefinder:
-            ground_down_m = ground_below_m(pose, await self._link.range_at(picture.time_s))
+        errors, state = self._mission.errors, self._link.state
+        accuracy_m, height_accuracy_m, surface = state.accuracy_m, state.height_accuracy_m, None
+        if self._mission.area.rangefinder:  # which leaves what the ground rises to the target
+            surface = Plane(ground_below_m(pose, await self._link.range_at(picture.time_s)))
+            height_accuracy_m = 0.0
         if self._mission.camera.gimbal:
             pose = on_gimbal(pose, *await self._link.gimbal_around(picture.time_s))
             turn_rad_s = 0.0, 0.0, turn_rad_s[2]  # it is held level
-        errors, state = self._mission.errors, self._link.state
-        accuracies_m = state.accuracy_m, state.height_accuracy_m
-        told = told_covariance(errors, pose, turn_rad_s, *accuracies_m)
-        return Shot(picture=picture, pose=pose, told=told, ground_down_m=ground_down_m)
+        told = told_covariance(errors, pose, turn_rad_s, accuracy_m, height_accuracy_m)
+        return Shot(picture=picture, pose=pose, told=told, surface=surface)
 
     def _miss(self, exc: CameraError) -> None:
         """A picture says nothing: for a while the beliefs do without."""

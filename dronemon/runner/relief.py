@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from dronemon.errors import MissionFileError
 from dronemon.frames import AreaFrame, GeoPoint, geo_to_ned, ned_to_degrees
-from dronemon.mission import Mission, mission_obstacles
+from dronemon.mission import Mission, field_centre, lay_frame, mission_obstacles
 from dronemon.preflight import Relief
 from dronemon.runner.profile import Profile
 from dronemon.types import FloatArray
@@ -81,6 +81,25 @@ def relief_of(
         px_m=mission.camera.model.focal_px,
         needed_m=needed_altitude_m(mission),
         needed_px_per_m=px if px is not None else 0.0,
+    )
+
+
+def describe_relief(mission: Mission) -> str:
+    """The same in words, before it is known where home is; the mission has a terrain.
+
+    Raises as `surface_of`.
+    """
+    if (centre := field_centre(mission.area)) is None:
+        return f"as in {mission.area.terrain}; preflight compares it, once home is known"
+    relief = relief_of(mission, lay_frame(mission, (0.0, 0.0), 0.0), centre, centre)
+    assert relief is not None  # it has a terrain
+    least_m, most_m = relief.least_m, relief.most_m
+    pixels = ""
+    if least_m > 0.0:
+        pixels = f", {relief.px_m / most_m:.1f} to {relief.px_m / least_m:.1f} pixels a metre"
+    return (
+        f"{relief.lowest_m:+.0f} to {relief.highest_m:+.0f} m from the area's middle; taken off "
+        f"there, {least_m:.0f} to {most_m:.0f} m below the flight{pixels}"
     )
 
 

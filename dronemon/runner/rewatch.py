@@ -123,6 +123,9 @@ class Rewatch:
         )
         laid = area_laid(mission, self._frame, self._home, fence, roadmap, system_id=0)
         tell_laid(self._events, laid, f"pictures of {self._pictures.folder}", hardware=None)
+        if mission.area.rangefinder:
+            what = "no ranges are known of pictures; the ground is level, or as area.terrain says"
+            self._events.note("ground", what, level="WARN")
         priors_au = self.tally.sightings.priors_au
         self._events.note("patrol", "the first picture", start_s=0.0, priors_au=priors_au)
 

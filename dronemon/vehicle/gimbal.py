@@ -26,7 +26,7 @@ GIMBAL_COMPONENTS = (
     *range(mavlink.MAV_COMP_ID_GIMBAL2, mavlink.MAV_COMP_ID_GIMBAL6 + 1),
 )
 """Components of a vehicle that may send them beside its autopilot."""
-GAP_S = 1.0
+GIMBAL_GAP_S = 1.0
 """Vehicle time from one sample to the next by which what is between is not known."""
 _KEPT, _LAGS_KEPT = 128, 20
 _LENGTHS = 0.95, 1.05
@@ -86,7 +86,7 @@ class GimbalTrack:
             return None
         self._stamp_ms = stamp_ms
         lag_s = now_s - stamp_ms / 1000.0
-        if self._lags_s and abs(lag_s - statistics.median(self._lags_s)) > GAP_S:
+        if self._lags_s and abs(lag_s - statistics.median(self._lags_s)) > GIMBAL_GAP_S:
             self._lags_s.clear()  # it was switched on anew
         self._lags_s.append(lag_s)
         return stamp_ms / 1000.0 + statistics.median(self._lags_s)
@@ -118,12 +118,12 @@ class GimbalTrack:
             raise CameraError(self.doubt)
         after = [sample for sample in self._samples if sample.time_s >= time_s]
         before = [sample for sample in self._samples if sample.time_s <= time_s]
-        if before and after and after[0].time_s - before[-1].time_s <= GAP_S:
+        if before and after and after[0].time_s - before[-1].time_s <= GIMBAL_GAP_S:
             return before[-1], after[0]
         heard = f"; the one before is {time_s - before[-1].time_s:.1f} s older" if before else ""
         raise CameraError(
-            f"the gimbal's attitude at the picture's instant was not heard{heard}, {GAP_S:g} s is "
-            "the limit; does the gimbal still send it to this link?"
+            f"the gimbal's attitude at the picture's instant was not heard{heard}, "
+            f"{GIMBAL_GAP_S:g} s is the limit; does the gimbal still send it to this link?"
         )
 
 

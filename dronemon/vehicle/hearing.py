@@ -9,10 +9,10 @@ from typing import Any
 
 from dronemon.errors import CommandUnconfirmed, LinkLost, LinkTimeout, VehicleError
 from dronemon.types import GimbalAttitude, Pose
-from dronemon.vehicle import rangefinder
-from dronemon.vehicle.gimbal import GAP_S
+from dronemon.vehicle.gimbal import GIMBAL_GAP_S, GimbalTrack
 from dronemon.vehicle.link import StatusText, VehicleState
 from dronemon.vehicle.mode_watch import ModeWatch
+from dronemon.vehicle.rangefinder import RANGE_GAP_S, RangeTrack
 from dronemon.vehicle.telemetry import Telemetry
 
 _IN_CHARGE = "its own failsafe is in charge until"
@@ -124,17 +124,18 @@ class Hearing:
 
     async def gimbal_around(self, time_s: float) -> tuple[GimbalAttitude, GimbalAttitude]:
         """Wait for the gimbal's attitudes just before and just after an instant."""
-        gimbal = self.telemetry.gimbal
-        while gimbal.newest_s < time_s and self.pose.time_s < time_s + GAP_S:
-            await self.next_message()
-        return gimbal.around(time_s)
+        await self._wait_for(self.telemetry.gimbal, time_s, GIMBAL_GAP_S)
+        return self.telemetry.gimbal.around(time_s)
 
     async def range_at(self, time_s: float) -> float:
         """Wait for the rangefinder's readings about an instant."""
-        track = self.telemetry.rangefinder
-        while track.newest_s < time_s and self.pose.time_s < time_s + rangefinder.GAP_S:
+        await self._wait_for(self.telemetry.rangefinder, time_s, RANGE_GAP_S)
+        return self.telemetry.rangefinder.at(time_s)
+
+    async def _wait_for(self, track: GimbalTrack | RangeTrack, time_s: float, gap_s: float) -> None:
+        """Wait until it goes on to an instant, or is too late for that."""
+        while track.newest_s < time_s and self.pose.time_s < time_s + gap_s:
             await self.next_message()
-        return track.at(time_s)
 
     async def wait_until(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
         """Wait in vehicle time until telemetry makes `condition` true."""

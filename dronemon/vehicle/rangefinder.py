@@ -16,8 +16,10 @@ _DOWN = mavlink.MAV_SENSOR_ROTATION_PITCH_270
 _INVALID = 1
 """`signal_quality` of a reading that is none; 0 is one whose quality is not known."""
 _KEPT = 128
-GAP_S = 0.5
+RANGE_GAP_S = 0.5
 """Vehicle time from one reading to the next by which what is between is not known."""
+_SILENT_S, _FUTURE_S = 1.0, 1.0
+"""Time after which a sensor is not heard any more, and by which a stamp cannot be ahead."""
 
 
 class _Reading(NamedTuple):
@@ -28,24 +30,21 @@ class _Reading(NamedTuple):
 
 
 class RangeTrack:
-    """The last readings of one sensor. limits_m: least and greatest that it tells; None if unheard.
-
-    Where several look down, the first heard is followed.
-    """
+    """The last readings of one sensor; of several that look down, the first that is heard."""
 
     def __init__(self) -> None:
-        self.limits_m: tuple[float, float] | None = None
+        self._limits_m = (math.nan, math.nan)
         self._readings: deque[_Reading] = deque(maxlen=_KEPT)
         self._id: int | None = None
 
     def forget(self) -> None:
         """Begin anew, as with a vehicle's clock that does."""
-        self.limits_m, self._id = None, None
         self._readings.clear()
 
-    def take(self, fields: Mapping[str, Any], time_s: float) -> None:
+    def take(self, fields: Mapping[str, Any], time_s: float, now_s: float) -> None:
         """Take one message, stamped so in vehicle time. Raises ValueError for what cannot be."""
-        if fields["orientation"] != _DOWN or self._id not in (None, fields["id"]):
+        is_other = fields["id"] != self._id and now_s - self.newest_s <= _SILENT_S
+        if fields["orientation"] != _DOWN or is_other or time_s <= self.newest_s:
             return
         least, range_m, most = (
             float(fields[name]) / 100.0
@@ -53,10 +52,21 @@ class RangeTrack:
         )
         if not 0.0 <= least < most < math.inf:  # NaN is never
             raise ValueError(f"tells {least} to {most} m")
-        self._id, self.limits_m = fields["id"], (least, most)
-        if time_s > self.newest_s:
-            is_good = least <= range_m <= most and fields.get("signal_quality") != _INVALID
-            self._readings.append(_Reading(time_s, range_m if is_good else math.nan))
+        if time_s > now_s + _FUTURE_S:
+            raise ValueError(f"is stamped {time_s - now_s:.1f} s ahead")
+        if fields["id"] != self._id:
+            self._readings.clear()
+        self._id, self._limits_m = fields["id"], (least, most)
+        is_good = range_m > 0.0 and least <= range_m <= most
+        is_good = is_good and fields.get("signal_quality") != _INVALID
+        self._readings.append(_Reading(time_s, range_m if is_good else math.nan))
+
+    def limits_m(self, now_s: float) -> tuple[float, float] | None:
+        """Least and greatest range that it tells; None if it is not heard, or not often enough."""
+        if len(self._readings) < 2 or now_s - self.newest_s > _SILENT_S:
+            return None
+        interval_s = self.newest_s - self._readings[-2].time_s
+        return self._limits_m if interval_s <= RANGE_GAP_S else None
 
     @property
     def newest_s(self) -> float:
@@ -67,15 +77,18 @@ class RangeTrack:
         """The range at an instant, between the readings about it. Raises CameraError."""
         after = next((r for r in self._readings if r.time_s >= time_s), None)
         before = next((r for r in reversed(self._readings) if r.time_s <= time_s), None)
-        if before is None or after is None or after.time_s - before.time_s > GAP_S:
+        if before is None or after is None or after.time_s - before.time_s > RANGE_GAP_S:
             raise CameraError(
                 "the rangefinder's reading at the picture's instant was not heard, two within "
-                f"{GAP_S:g} s are needed; does the vehicle still send {RANGE_MESSAGE} to this link?"
+                f"{RANGE_GAP_S:g} s are needed; does the vehicle still send {RANGE_MESSAGE} to "
+                "this link?"
             )
-        share = (time_s - before.time_s) / max(after.time_s - before.time_s, 1e-9)
-        range_m = before.range_m + share * (after.range_m - before.range_m)
+        range_m = before.range_m
+        if after.time_s > before.time_s:
+            share = (time_s - before.time_s) / (after.time_s - before.time_s)
+            range_m += share * (after.range_m - before.range_m)
         if math.isnan(range_m):
-            least_m, most_m = self.limits_m or (math.nan, math.nan)
+            least_m, most_m = self._limits_m
             raise CameraError(
                 f"the rangefinder finds no ground {least_m:g} to {most_m:g} m below the drone; is "
                 "it too high, or over water?"

@@ -45,7 +45,6 @@ _UNKNOWN: dict[str, dict[str, Any]] = {  # what is not known once its message st
     },
     "GPS_RAW_INT": {"gps": None},
     REMOTE_ID_STATUS: {"remote_id": None},
-    RANGE_MESSAGE: {"range_limits_m": None},
 }
 _ESTIMATED = {
     "attitude": mavlink.ESTIMATOR_ATTITUDE,
@@ -127,9 +126,12 @@ class Telemetry:
             self._heard_s[name] = self.time_s
 
     def _is_late(self, name: str, fields: dict[str, Any]) -> bool:
-        """Whether a message with a stamp, ATTITUDE and gimbals apart, is not of the present."""
+        """Whether a message with a stamp is not of the present.
+
+        ATTITUDE apart, and what several of a vehicle's parts may send, each with its own stamps.
+        """
         boot_ms = _whole(fields.get("time_boot_ms", 0), 0, 2**32 - 1)
-        if name == "ATTITUDE" or name in GIMBAL_MESSAGES:
+        if name in ("ATTITUDE", RANGE_MESSAGE) or name in GIMBAL_MESSAGES:
             return False
         if "time_boot_ms" in fields:
             stamp, ahead_ms = boot_ms, self._clock.ahead_ms
@@ -148,6 +150,8 @@ class Telemetry:
         oldest_s = self.time_s - _TRUSTED_S
         stale = [name for name in _UNKNOWN if self._heard_s.get(name, math.inf) < oldest_s]
         changes = {key: value for name in stale for key, value in _UNKNOWN[name].items()}
+        if (limits_m := self.rangefinder.limits_m(self.time_s)) is not None:
+            changes["range_limits_m"] = limits_m
         state = replace(self._state, **changes) if changes else self._state
         if state.is_estimate_heard or not state.is_position_good:
             return state
@@ -278,8 +282,8 @@ class Telemetry:
 
     def _on_range(self, fields: dict[str, Any]) -> None:
         if self._poses:  # as of a gimbal
-            self.rangefinder.take(fields, self._clock.time_s(fields["time_boot_ms"]))
-            self._update(range_limits_m=self.rangefinder.limits_m)
+            time_s = self._clock.time_s(fields["time_boot_ms"])
+            self.rangefinder.take(fields, time_s, self.time_s)
 
     def _on_sys_status(self, fields: dict[str, Any]) -> None:
         remaining = _whole(fields["battery_remaining"], -1, 100)
