@@ -37,6 +37,8 @@ def mission_problems(mission: Mission) -> Iterator[Problem]:
             f"{flight.speed_limit_m_s:g} is less than cruise_speed_m_s, "
             f"{flight.cruise_speed_m_s:g}; raise it, or leave it out for cruise and 10 %",
         )
+    if flight.ceiling_m is not None and flight.altitude_m > flight.ceiling_m:
+        yield ("flight", "altitude_m"), f"{flight.altitude_m:g} m is above flight.ceiling_m"
     if flight.follow_terrain and mission.area.terrain is None:
         what = "needs area.terrain, a file of the ground's heights; name it, or leave this out"
         yield ("flight", "follow_terrain"), what

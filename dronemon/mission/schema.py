@@ -54,6 +54,8 @@ class Flight(Section):
     """Whether to fly over hills and valleys of area.terrain, rather than at one height."""
     stand_off_m: float = Field(10.0, ge=2.0, le=500.0)
     """How far below the patrol the highest ground and zones that it flies over have to be."""
+    ceiling_m: float | None = Field(None, ge=2.0, le=1000.0)
+    """How far above the ground the patrol may be, as rules or a permit say; any if absent."""
     cruise_speed_m_s: float = Field(5.0, ge=0.5, le=25.0)
     """Ground speed on patrol."""
     max_speed_m_s: float | None = Field(None, ge=0.5, le=50.0)

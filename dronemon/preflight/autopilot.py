@@ -168,8 +168,11 @@ def on_return_height(facts: Facts, mission: Mission) -> Judgement:
     if tallest_m > 0.0 and height_m < (clear_m := tallest_m + flight.stand_off_m):
         why = f"what stands in no-fly zones and flight.stand_off_m need {clear_m:.0f} m"
         return warn(f"{what}, straight: {why}", RTL_RETURN_ALT=math.ceil(clear_m))
-    if height_m > max(HIGH_M, top_m):
-        return warn(f"{what}: higher than the {HIGH_M:g} m that most rules allow", **mends)
+    if height_m > (flight.ceiling_m or max(HIGH_M, top_m)):
+        limit = f"the {HIGH_M:g} m that most rules allow"
+        if flight.ceiling_m is not None:
+            limit = f"flight.ceiling_m, {flight.ceiling_m:g}"
+        return warn(f"{what}: higher than {limit}", **mends)
     return go(what)
 
 

@@ -94,6 +94,11 @@ def on_relief(facts: Facts, mission: Mission) -> Judgement:
             f"the highest is {least_m:.0f} m below the flight, not {flight.stand_off_m:g};"
             f" set flight.altitude_m to {enough_m:.0f} or more"
         )
+    if flight.ceiling_m is not None and most_m > flight.ceiling_m:
+        return no(
+            f"the lowest is {most_m:.0f} m below the flight, more than flight.ceiling_m, "
+            f"{flight.ceiling_m:g}; fly lower, or slower with follow_terrain, or leave valleys out"
+        )
     which = ", which follows it" if flight.follow_terrain else ""
     seen = (
         f"{least_m:.0f} to {most_m:.0f} m below the flight{which}: {relief.px_m / most_m:.1f} to "
@@ -123,7 +128,8 @@ def _on_following(facts: Facts, mission: Mission, seen: str) -> Judgement:
     if slow:
         what = f"{seen}; to follow it takes {FOLLOWING_M_S:g} m/s up and down"
         return no(f"{what}, and {' and '.join(slow)} allow less", **slow)
-    if facts.relief is not None and facts.relief.most_m > max(HIGH_M, mission.flight.altitude_m):
+    limit_m = mission.flight.ceiling_m or max(HIGH_M, mission.flight.altitude_m)
+    if facts.relief is not None and facts.relief.most_m > limit_m:
         return warn(f"{seen}; over valleys that is more than the {HIGH_M:g} m of most rules")
     return go(seen)
 

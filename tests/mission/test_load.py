@@ -91,6 +91,7 @@ def test_animals_is_the_papers_experiment():
             4,
             ["area.terrain", "no.asc: cannot be read"],
         ),
+        ("horizon_au: 30", "ceiling_m: 44", 6, ["altitude_m", "45 m is above flight.ceiling_m"]),
         (
             "horizon_au: 30",
             "follow_terrain: true",

@@ -207,6 +207,26 @@ def test_a_following_flights_return_clears_what_stands_on_the_highest_hill():
     assert found.mends == {"RTL_RETURN_ALT": 62}
 
 
+def _under(ceiling_m: float) -> Mission:
+    flight = MISSION.flight.model_copy(update={"ceiling_m": ceiling_m})
+    return MISSION.model_copy(update={"flight": flight})
+
+
+@pytest.mark.parametrize(("ceiling_m", "verdict"), [(49.0, NO_GO), (51.0, GO)])
+def test_the_lowest_ground_is_below_the_ceiling(ceiling_m: float, verdict: Verdict):
+    findings = judge(replace(FACTS, relief=_hills()), _under(ceiling_m))  # 50 m below the flight
+    found = next(finding for finding in findings if finding.name == "ground below")
+    assert found.judgement.verdict is verdict
+
+
+@pytest.mark.parametrize(("ceiling_m", "verdict"), [(59.0, WARNING), (60.0, GO)])
+def test_a_return_above_the_ceiling_is_told(ceiling_m: float, verdict: Verdict):
+    findings = judge(FACTS, _under(ceiling_m))  # it returns at 60 m
+    found = next(finding for finding in findings if finding.name == "height of the return")
+    assert found.judgement.verdict is verdict
+    assert ("flight.ceiling_m, 59" in found.judgement.meaning) == (verdict is WARNING)
+
+
 def test_no_height_of_the_return_mends_an_area_too_far_away():
     finding = _found("height of the return", replace(FACTS, away_m=20e3))
     assert finding.judgement.verdict is NO_GO
