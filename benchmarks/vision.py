@@ -20,7 +20,7 @@ import argparse
 import math
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -42,12 +42,10 @@ from dronemon.types import (
     FloatArray,
     ImageArray,
 )
-from dronemon.vision.blobs import BlobDetector
-from dronemon.vision.boxed import BoxDetector
 from dronemon.vision.detector import Detector
 from dronemon.vision.drawn import DrawnDetector
-from dronemon.vision.markers import MarkerDetector
 from dronemon.vision.prototypes import COAT_COLOURS
+from dronemon.vision.registry import detector_of
 from sim.camera import decode, encode
 from sim.random_scene import random_scene
 from sim.renderer import Renderer
@@ -225,18 +223,6 @@ def section_of(network: Path | None, min_score: float) -> DetectorSection:
     return DetectorSection(kind="onnx", file=str(network), min_score=min_score)
 
 
-def make_detector(section: DetectorSection, appearances: Sequence[str]) -> Detector:
-    """A detector of these. Raises OptionError."""
-    match section.kind:
-        case "onnx":
-            return BoxDetector(section, appearances, CAMERA)
-        case "markers":
-            return MarkerDetector(section, appearances, CAMERA)
-        case "blobs":
-            return BlobDetector(section, appearances[0], CAMERA)
-    return DrawnDetector(appearances, CAMERA, section.min_score)
-
-
 def look(tally: Tally, scene: Scene, renderer: Renderer, detector: Detector, quality: int) -> None:
     """Take one picture, and count what is found in it."""
     image = decode(encode(renderer.render(scene), quality))
@@ -270,7 +256,7 @@ def benchmark(
 
 def compare(subject: Subject, seed: int, num_pictures: int) -> None:
     """Print what unkind pictures do to a detector, a line of Markdown for each condition."""
-    detector = make_detector(subject.section, list(subject.called.values()))
+    detector = detector_of(subject.section, list(subject.called.values()), CAMERA)
     tallies = {name: Tally(called=subject.called) for name in CONDITIONS}
     num_each = math.ceil(num_pictures / len(CONDITIONS) / NUM_WORLDS)
     for world in range(seed, seed + NUM_WORLDS):
@@ -371,7 +357,7 @@ def main() -> None:
                 subject = replace(subject, section=section)
             compare(subject, options.seed or 0, options.pictures or 1000)
         else:
-            detector = make_detector(section, of)
+            detector = detector_of(section, of, CAMERA)
             benchmark(detector, options.seed or 0, pictures, of, options.height_m)
     except OptionError as exc:
         raise SystemExit(f"--network: {exc}") from exc

@@ -7,17 +7,13 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import groupby
 
-import numpy as np
-
 from dronemon.card import find_checkpoint, read_card
 from dronemon.errors import CameraError, MissionFileError, OptionError, PolicyError
-from dronemon.frames import ned_to_degrees
 from dronemon.mission import (
     Mission,
     MissionFile,
     field_centre,
     find_mission,
-    lay_frame,
     load_mission,
     mission_arena,
     mission_obstacles,
@@ -32,9 +28,6 @@ from dronemon.planner.registry import is_bound
 from dronemon.problem import MEASUREMENT_INTERVAL_AU
 from dronemon.vision.view import needed_altitude_m, needed_px_per_m, px_per_m, tilt_rad
 from dronemon.world.motions import motion_flaw
-
-_TERRAIN_LOOKS = 50
-"""Along each side of the area, for its heights."""
 
 
 def load_checked(name: str, overrides: Overrides, follow: str | None) -> MissionFile:
@@ -264,15 +257,12 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
     needed_px = needed_px_per_m(mission)
     highest_m = math.inf if needed_px is None else mission.camera.model.focal_px / needed_px
     (key, size_m), altitude_m = mission.area.size, mission.flight.altitude_m
-    needed_m, tilt_deg = needed_altitude_m(mission), math.degrees(tilt_rad(mission))
+    needed_m, (tilt, or_lower) = needed_altitude_m(mission), _tilting(mission)
     least_m, most_m = _to_tenth(math.ceil, needed_m), _to_tenth(math.floor, highest_m)
     smaller_m = _to_tenth(math.floor, size_m * (most_m - 0.1) / needed_m)
-    tilt = f"while it banks {tilt_deg:.1f} degrees to accelerate"
-    or_lower = f", or lower {mission.flight.what_banks}"
-    or_larger = " or larger markers" if mission.detector.kind == "markers" else ""
-    better = f"or use a camera with more pixels{or_larger}"
-    if mission.camera.gimbal:
-        tilt, or_lower = f"with its gimbal off by {tilt_deg:.1f} degrees", ""
+    better = "or use a camera with more pixels"
+    if mission.detector.kind == "markers":
+        better += " or larger markers"
     if needed_m == math.inf:
         yield (
             ("flight", "altitude_m"),
@@ -301,6 +291,15 @@ def _sight_problems(mission: Mission) -> Iterator[Problem]:
             f"pixels of this camera, and the detector needs {needed_px:.1f} to know a "
             f"target; fly at {least_m:.1f} to {most_m:.1f} m, {better}",
         )
+
+
+def _tilting(mission: Mission) -> tuple[str, str]:
+    """How the camera tilts, and what else could be made less for that."""
+    tilt_deg = math.degrees(tilt_rad(mission))
+    if mission.camera.gimbal:
+        return f"with its gimbal off by {tilt_deg:.1f} degrees", ""
+    tilt = f"while it banks {tilt_deg:.1f} degrees to accelerate"
+    return tilt, f", or lower {mission.flight.what_banks}"
 
 
 def _to_tenth(rounded: Callable[[float], int], length_m: float) -> float:
@@ -343,28 +342,14 @@ def _terrain_problems(mission: Mission) -> Iterator[Problem]:
 
     Whether they are of the take-off and the ways there, too, preflight sees.
     """
-    if mission.area.terrain is None:
+    if mission.area.terrain is None or any(field_problems(mission)):  # they are told already
         return
-    from dronemon.vision.heights import read_heights
+    from dronemon.runner.relief import describe_relief
 
     try:
-        grid, centre = read_heights(mission.area.terrain), field_centre(mission.area)
-        frame = lay_frame(mission, (0.0, 0.0), 0.0)
+        describe_relief(mission)
     except MissionFileError as exc:
         yield ("area", "terrain"), str(exc)
-        return
-    if centre is None:
-        return
-    places_deg = ned_to_degrees(frame.au_to_ned(frame.arena.grid(_TERRAIN_LOOKS)), centre)
-    if (is_unknown := np.isnan(grid.at(places_deg))).any():
-        latitude, longitude = places_deg[is_unknown][0].tolist()
-        south, west, north, east = grid.bounds_deg
-        yield (
-            ("area", "terrain"),
-            f"{mission.area.terrain}: has no height at {latitude:.5f}, {longitude:.5f} in the "
-            f"area; it reaches from {south:.5f}, {west:.5f} to {north:.5f}, {east:.5f}; name a "
-            "larger grid, or one without gaps, or see whether the area lies where it should",
-        )
 
 
 def _detector_problems(mission: Mission) -> Iterator[Problem]:

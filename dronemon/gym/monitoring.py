@@ -131,8 +131,6 @@ class MonitoringVector(VectorEnv[Shown, NDArray[Any], NDArray[Any]]):
         self, actions: NDArray[Any]
     ) -> tuple[Shown, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Fly where the actions lead. Raises ValueError if they are not in the action space."""
-        if not self._decisions_left:
-            raise gymnasium.error.ResetNeeded("call reset before step")
         shown, rewards, told = self._episodes.step(_checked(actions, self.action_space))
         self._decisions_left -= 1
         is_over = self._decisions_left == 0

@@ -87,8 +87,10 @@ def relief_of(
 def describe_relief(mission: Mission) -> str:
     """The same in words, before it is known where home is; the mission has a terrain.
 
-    Raises as `surface_of`.
+    Raises as `surface_of`, and MissionFileError for a file that is none.
     """
+    assert mission.area.terrain is not None
+    read_heights(mission.area.terrain)
     if (centre := field_centre(mission.area)) is None:
         return f"as in {mission.area.terrain}; preflight compares it, once home is known"
     relief = relief_of(mission, lay_frame(mission, (0.0, 0.0), 0.0), centre, centre)
@@ -127,9 +129,10 @@ def _surveyed(
         latitude, longitude = ned_to_degrees(places_m[is_unknown][0], origin).tolist()
         south, west, north, east = grid.bounds_deg
         raise MissionFileError(
-            f"{path}: has no heights of all the area and of the take-off place, {home}: none at "
-            f"{latitude:.5f}, {longitude:.5f}; it reaches from {south:.5f}, {west:.5f} to "
-            f"{north:.5f}, {east:.5f}; name a larger grid, or one without gaps"
+            f"{path}: has no height at {latitude:.5f}, {longitude:.5f}, and so it has no heights "
+            f"of all the area and of the ways from the take-off; it reaches from {south:.5f}, "
+            f"{west:.5f} to {north:.5f}, {east:.5f}; name a larger grid, or one without gaps, or "
+            "see whether the area lies where it should"
         )
     return terrain, places_m
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from dronemon.errors import OptionError, did_you_mean
 from dronemon.mission import Mission
-from dronemon.mission.detector import KINDS
+from dronemon.mission.detector import KINDS, DetectorSection
 from dronemon.outside import find_class
+from dronemon.types import CameraModel
 from dronemon.vision.blobs import BlobDetector
 from dronemon.vision.boxed import BoxDetector
 from dronemon.vision.detector import Detector
@@ -20,10 +22,14 @@ def make_detector(mission: Mission) -> Detector:
 
     Raises OptionError for a kind, a file, a class or a marker that cannot be used.
     """
-    of, camera = mission.detector, mission.camera.model
+    of = mission.detector
     own = [target.appearance for target in mission.targets]
     others = [other for taken in of.confusion.values() for other in taken]
-    appearances = list(dict.fromkeys(own + others))
+    return detector_of(of, list(dict.fromkeys(own + others)), mission.camera.model)
+
+
+def detector_of(of: DetectorSection, appearances: Sequence[str], camera: CameraModel) -> Detector:
+    """Finds what looks so in a camera's pictures. Raises as `make_detector`."""
     match of.kind:
         case "drawn":
             return DrawnDetector(appearances, camera, of.min_score)
@@ -33,12 +39,12 @@ def make_detector(mission: Mission) -> Detector:
             return MarkerDetector(of, appearances, camera)
         case "blobs":
             return BlobDetector(of, appearances[0], camera)
-    return _outside(mission, appearances)
+    return _outside(of, appearances, camera)
 
 
-def _outside(mission: Mission, appearances: list[str]) -> Detector:
+def _outside(of: DetectorSection, appearances: Sequence[str], camera: CameraModel) -> Detector:
     """The detector of a class outside this package."""
-    kind = mission.detector.kind
+    kind = of.kind
     if ":" not in kind:
         raise OptionError(
             f"kind {kind!r}: there is no such detector; {did_you_mean(kind, KINDS)}"
@@ -46,7 +52,7 @@ def _outside(mission: Mission, appearances: list[str]) -> Detector:
         )
     make = find_class(kind, "detector")
     try:
-        detector: Any = make(appearances, mission.camera.model, mission.detector.min_score)
+        detector: Any = make(appearances, camera, of.min_score)
     except (Exception, SystemExit) as exc:  # a class of others may fail in any way
         raise OptionError(
             f"detector {kind!r} cannot be made from appearances, camera and least score: {exc!r}"
