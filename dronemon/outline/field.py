@@ -9,6 +9,8 @@ import shapely
 from dronemon.types import FloatArray
 
 _LEAST_M2 = 1.0
+_MOST_CORNERS = 3000
+"""Of all no-fly zones together: what they cover is found from how each meets each other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,6 +51,10 @@ class Field:
 
     def flaw(self) -> str | None:
         """Say why it cannot be flown in, if so: what crosses itself, or that nothing is left."""
+        if (count := sum(len(zone.corners_ned_m) for zone in self.no_fly)) > _MOST_CORNERS:
+            return (
+                f"its no-fly zones have {count} corners, more than {_MOST_CORNERS}; simplify them"
+            )
         border = shapely.Polygon(self.border_ned_m)
         shapes = [(zone, shapely.Polygon(zone.corners_ned_m)) for zone in self.no_fly]
         for name, shape in [("the field", border), *((repr(z.name), s) for z, s in shapes)]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import shapely
@@ -39,16 +40,21 @@ def read_outline(path: Path | str) -> Outline:
     Raises MissionFileError.
     """
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
+    if path.suffix.lower() not in _READERS:
         raise MissionFileError(
             f"{path}: {path.suffix or 'a file without ending'} is no outline; it is to be a .kml "
             "(a .kmz is a zip that has one), .geojson, or .plan of QGroundControl"
         )
     try:
-        return _outline(reader(_text(path)))
+        return _read(path.suffix.lower(), _text(path))
     except Flaw as flaw:
         raise MissionFileError(f"{path}: {flaw}") from flaw
+
+
+@lru_cache(maxsize=4)
+def _read(suffix: str, text: str) -> Outline:
+    """A mission asks for its outline again and again. Raises Flaw."""
+    return _outline(_READERS[suffix](text))
 
 
 def _text(path: Path) -> str:

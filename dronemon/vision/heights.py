@@ -110,10 +110,16 @@ def _geotiff(path: str) -> HeightGrid:
             f"{path}: rasterio is not installed, which reads GeoTIFFs; pip install"
             " 'dronemon[terrain]' brings it"
         ) from exc
+    _refuse_no_file(path)
     try:
-        with rasterio.open(path, driver="GTiff") as file:
+        with rasterio.open(Path(path).absolute(), driver="GTiff") as file:
             if file.crs is None:
                 raise MissionFileError(f"{path}: does not say in what coordinates it is")
+            if file.count * max(rows * columns for rows, columns in file.block_shapes) > _MAX_CELLS:
+                raise MissionFileError(
+                    f"{path}: is stored in parts of more than {_MAX_CELLS} heights; "
+                    "`gdal_translate -b 1 -co TILED=YES` makes smaller ones"
+                )
             with WarpedVRT(file, **_in_degrees(path, file)) as vrt:
                 heights_m = vrt.read(1) * file.scales[0] + file.offsets[0]
                 transform = vrt.transform
@@ -199,7 +205,14 @@ def _header(path: str, lines: list[str]) -> dict[str, float]:
     return header
 
 
+def _refuse_no_file(path: str) -> None:
+    """Neither a pipe, which may never end, nor an address, which rasterio would follow."""
+    if not Path(path).is_file():
+        raise MissionFileError(f"{path}: cannot be read: no such file")
+
+
 def _lines(path: str) -> list[str]:
+    _refuse_no_file(path)
     try:
         with Path(path).open("rb") as file:
             text = file.read(_MAX_BYTES + 1).decode("ascii")

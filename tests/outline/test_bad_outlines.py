@@ -7,6 +7,7 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from outlines import (
     BOW_TIE,
@@ -209,6 +210,16 @@ def test_files_that_are_no_text_of_this_size(tmp_path: Path, suffix: str):
     path.unlink()
     path.mkdir()
     assert "no such file" in _error(path)
+
+
+def test_zones_of_many_corners_are_refused_before_they_are_joined(tmp_path: Path):
+    angle = np.arange(800) / 400.0 * np.pi
+    reach = np.where(np.arange(800) % 2, 4e-3, 4e-5)
+    star = np.stack([47.4 + reach * np.cos(angle), 8.5 + reach * np.sin(angle)], axis=-1)
+    zones = [placemark(star.tolist(), name="no-fly") for _ in range(4)]
+    path = tmp_path / "field.kml"
+    path.write_text(kml(placemark(SQUARE), *zones))
+    assert "its no-fly zones have 3200 corners, more than 3000; simplify them" in _error(path)
 
 
 @pytest.mark.parametrize("name", ["field.kmz", "field.shp", "field", "field.kml.bak"])

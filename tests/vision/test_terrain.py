@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 import warnings
 from dataclasses import replace
@@ -190,6 +191,27 @@ def test_what_is_wrong_with_a_geotiff_is_told(
 ):
     path = geotiff(tmp_path / "ground.tif", heights_m, crs, from_origin(34.8, -2.3, 0.001, 0.001))
     with pytest.raises(MissionFileError, match=rf"ground\.tif: .*{words}"):
+        read_heights(path)
+
+
+@pytest.mark.parametrize("path", ["/vsicurl/http://127.0.0.1:9/x.tif", "/vsizip/a.zip/x.tif"])
+def test_what_is_no_file_on_disk_is_not_asked_for(path: str):
+    with pytest.raises(MissionFileError, match=r"x\.tif: cannot be read: no such file"):
+        read_heights(path)
+
+
+@pytest.mark.parametrize("name", ["pipe.asc", "pipe.tif"])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(MissionFileError, match="cannot be read: no such file"):
+        read_heights(str(tmp_path / name))
+
+
+def test_a_geotiff_in_huge_parts_is_refused_before_it_is_read(tmp_path: Path):
+    parts = {"tiled": True, "blockxsize": 4096, "blockysize": 4096, "compress": "deflate"}
+    transform = from_origin(34.8, -2.3, 0.001, 0.001)
+    path = geotiff(tmp_path / "ground.tif", np.ones((9, 9)), "EPSG:4326", transform, **parts)
+    with pytest.raises(MissionFileError, match=r"is stored in parts of more than 10000000 heights"):
         read_heights(path)
 
 
