@@ -25,17 +25,11 @@ from dronemon.mission import Mission, MissionFile
 from dronemon.planner import Planner
 from dronemon.preflight import Finding
 from dronemon.recorder import SIMULATOR_LOG, RunFolder, RunRecorder
-from dronemon.runner import (
-    FlightResult,
-    FlightSetup,
-    Interrupts,
-    fly_mission,
-    inspect_vehicle,
-    rehearse,
-)
+from dronemon.runner.flight import FlightResult, fly_mission
 from dronemon.runner.history import History, Newest, read_history, read_newest
-from dronemon.runner.interrupts import Interrupted
-from dronemon.runner.preparation import known_places_au
+from dronemon.runner.inspection import inspect_vehicle
+from dronemon.runner.interrupts import Interrupted, Interrupts
+from dronemon.runner.preparation import FlightSetup, known_places_au, rehearse
 from dronemon.runner.relay import Relay
 from dronemon.runner.summary import Summary, summarise
 from dronemon.simulator import Simulator, Truth, simulator

@@ -54,7 +54,7 @@ from dronemon.terminal import (
 if TYPE_CHECKING:
     from dronemon.mission import MissionFile
     from dronemon.preflight import Finding
-    from dronemon.runner import FlightResult
+    from dronemon.runner.flight import FlightResult
 
 # Nearly all is slow to import, and so imported by the command that needs it.
 
@@ -205,7 +205,7 @@ def preflight_command(
 
     from dronemon.assembly import Request, assemble_and_inspect
     from dronemon.preflight import Verdict, against
-    from dronemon.runner import refusal
+    from dronemon.runner.inspection import refusal
 
     request = Request(follow=follow, settings=confirmed, out=out)
     findings = asyncio.run(assemble_and_inspect(checked, request, _tell_findings))

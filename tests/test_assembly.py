@@ -16,8 +16,7 @@ from dronemon.errors import CameraError, LinkTimeout, VehicleError, ViewError
 from dronemon.events import Audience
 from dronemon.mission import load_mission
 from dronemon.recorder import RunFolder
-from dronemon.runner import FlightResult
-from dronemon.runner.flight import DOWN
+from dronemon.runner.flight import DOWN, FlightResult
 from dronemon.runner.interrupts import Interrupts
 from dronemon.runner.summary import summarise
 

@@ -16,8 +16,9 @@ import numpy as np
 from dronemon.events import Audience
 from dronemon.mission import load_mission
 from dronemon.preflight import PARAMETERS, Sight
-from dronemon.runner import FlightSetup, Interrupts
 from dronemon.runner.inspection import find, refusal
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup
 from dronemon.vehicle import VehicleLink
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 

@@ -25,8 +25,10 @@ from dronemon.mission import load_mission
 from dronemon.planner.learned import LearnedPlanner
 from dronemon.policy import Card, NetworkConfig, PolicyNetwork, save_checkpoint
 from dronemon.recorder import RunFolder, RunRecorder
-from dronemon.runner import FlightSetup, Interrupts, fly_mission
+from dronemon.runner.flight import fly_mission
 from dronemon.runner.history import read_history
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup
 from dronemon.types import Detection, ImageArray, Pose
 
 MISSION = """

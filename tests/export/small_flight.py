@@ -14,7 +14,9 @@ from dronemon.mission import load_mission
 from dronemon.planner import Planner
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.recorder import RunRecorder
-from dronemon.runner import FlightSetup, Interrupts, fly_mission
+from dronemon.runner.flight import fly_mission
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.summary import summarise
 from dronemon.sightings import Sightings
 from dronemon.types import Detection

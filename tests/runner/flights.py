@@ -18,8 +18,10 @@ from dronemon.guard import Reason
 from dronemon.mission import load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.roadmap import Roadmap
-from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission
+from dronemon.runner.flight import FlightResult, fly_mission
 from dronemon.runner.history import History
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup
 from dronemon.vehicle import Mode
 
 MISSION = """

@@ -21,8 +21,10 @@ from dronemon.mission import load_mission
 from dronemon.mission.schema import Flight
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.roadmap import Roadmap
-from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission
 from dronemon.runner.battery import Battery
+from dronemon.runner.flight import FlightResult, fly_mission
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup
 from dronemon.types import Pose
 from dronemon.vehicle import Landed, VehicleState
 

@@ -21,7 +21,9 @@ from dronemon.events import Audience, Event, Measured, Noted
 from dronemon.mission import load_mission
 from dronemon.planner.lawnmower import Lawnmower
 from dronemon.recorder import RunRecorder
-from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission, rehearse
+from dronemon.runner.flight import FlightResult, fly_mission
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup, rehearse
 from dronemon.vehicle.mavsdk_link import MavsdkLink
 from dronemon.vision.registry import make_detector
 from dronemon.viz import FlightView

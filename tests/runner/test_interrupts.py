@@ -6,8 +6,7 @@ import asyncio
 
 import pytest
 
-from dronemon.runner import Interrupts
-from dronemon.runner.interrupts import Interrupted
+from dronemon.runner.interrupts import Interrupted, Interrupts
 
 
 def test_a_request_while_it_is_being_left_is_counted():

@@ -16,8 +16,8 @@ from dronemon.errors import PlannerError
 from dronemon.mission import Mission, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.roadmap import Roadmap
-from dronemon.runner import Interrupts, rehearse
-from dronemon.runner.interrupts import Interrupted
+from dronemon.runner.interrupts import Interrupted, Interrupts
+from dronemon.runner.preparation import rehearse
 from dronemon.vision.registry import make_detector
 
 MISSION = Path(__file__).parents[2] / "missions" / "animals.yaml"

@@ -22,8 +22,10 @@ from dronemon.frames import ned_to_geo
 from dronemon.mission import Mission, load_mission
 from dronemon.mission.checks import battery_problem
 from dronemon.recorder import LINE_FILES, RunFolder, RunRecorder
-from dronemon.runner import FlightResult, FlightSetup, Interrupts
 from dronemon.runner import relay as relay_module
+from dronemon.runner.flight import FlightResult
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup
 from dronemon.runner.relay import REQUEST_FILE, Relay
 from dronemon.runner.status import ask_to_go_on, status
 from dronemon.runner.tally import Tally

@@ -24,9 +24,10 @@ from dronemon.mission import MissionFile, load_mission
 from dronemon.planner import Briefing, Snapshot, Waypoint
 from dronemon.recorder import RunFolder, RunRecorder
 from dronemon.roadmap import Roadmap
-from dronemon.runner import FlightResult, FlightSetup, Interrupts, fly_mission
+from dronemon.runner.flight import FlightResult, fly_mission
 from dronemon.runner.history import History, Newest, read_history, read_newest
-from dronemon.runner.preparation import make_belief
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup, make_belief
 from dronemon.runner.summary import summarise
 from dronemon.runner.tally import Tally
 from dronemon.sightings import Sightings

@@ -17,8 +17,10 @@ from dronemon.events import Audience
 from dronemon.guard import Reason
 from dronemon.mission import load_mission
 from dronemon.preflight import Finding, Verdict, against
-from dronemon.runner import FlightSetup, Interrupts, inspect_vehicle
 from dronemon.runner.flight import NOT_STARTED
+from dronemon.runner.inspection import inspect_vehicle
+from dronemon.runner.interrupts import Interrupts
+from dronemon.runner.preparation import FlightSetup
 from dronemon.vehicle.changes import state_folder
 from dronemon.vehicle.fence_items import FenceItem, polygon_items
 
