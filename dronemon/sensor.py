@@ -12,6 +12,8 @@ from dronemon.errors import OptionError
 
 LIMITS = {"miss": 0.9, "false_alarms": 1.0, "position_au": 0.05, "confusion": 0.5}
 """Greatest value of each error."""
+_OTHERS_SEEN = 0.2
+"""Targets that a picture shows, about, and that may be taken for another."""
 
 
 @dataclass(frozen=True, slots=True, order=True, kw_only=True)
@@ -40,6 +42,16 @@ class Sensor:
     def is_perfect(self) -> bool:
         """Whether it is the paper's."""
         return self == PERFECT
+
+    @property
+    def needs_hindsight(self) -> bool:
+        """Whether what it says of a picture may have to be taken back."""
+        return self.untold > 0.0 or self.false_sights > 0.0
+
+    @property
+    def false_sights(self) -> float:
+        """Targets told of in a picture where they are not, in the mean and about."""
+        return self.false_alarms + _OTHERS_SEEN * self.confusion
 
     @property
     def untold(self) -> float:

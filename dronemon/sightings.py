@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dronemon.errors import BeliefError
+from dronemon.hindsight import Hindsight
 from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.sensor import PERFECT, Sensor
 from dronemon.types import BoolArray, FloatArray, Measurement
 
 LEAST_VIEW_AU = 0.5 * SENSOR_RADIUS_AU
@@ -68,14 +70,21 @@ class Sightings:
     A measurement of more targets than before lets these join: earlier ones did not see them.
     """
 
-    def __init__(self, priors_au: FloatArray) -> None:
-        """priors_au: (N, 2) float64 au places of the known targets at time 0, NaN where unknown."""
+    def __init__(self, priors_au: FloatArray, sensor: Sensor = PERFECT) -> None:
+        """Begin a log.
+
+        priors_au: (N, 2) float64 au places of the known targets at time 0, NaN where unknown
+        sensor:    how the eye errs
+        """
+        self.sensor = sensor
+        priors_au = priors_au.reshape(-1, 2)
+        self._hindsight = Hindsight(sensor, priors_au) if sensor.needs_hindsight else None
         self._measurements: list[Measurement] = []
         self._sights: list[list[Sight]] = [
             [] if np.isnan(prior_au).any() else [Sight(0.0, *prior_au.tolist())]
             for prior_au in priors_au
         ]
-        self.priors_au: FloatArray = priors_au.reshape(-1, 2)
+        self.priors_au: FloatArray = priors_au
 
     def __len__(self) -> int:
         """Measurements taken."""
@@ -127,6 +136,8 @@ class Sightings:
         for target in np.flatnonzero(measurement.seen):
             x_au, y_au = measurement.target_au[target].tolist()
             self._sights[target].append(Sight(measurement.time_au, x_au, y_au))
+        if self._hindsight:
+            self._hindsight.add(measurement)
 
     def _check(self, measurement: Measurement) -> None:
         seen, target_au = measurement.seen, measurement.target_au
@@ -158,27 +169,45 @@ class Sightings:
             end -= 1
         return sights[max(0, end - most) : end]
 
-    def window(self, span_au: float, num_targets: int | None = None) -> Window:
+    def told_au(self, first: int) -> FloatArray:
+        """Where each target was said to be seen by the measurements from one on.
+
+        -> (n, N, 2) au, NaN where it was not
+        """
+        told_au = np.full((len(self) - first, self.num_targets, 2), np.nan)
+        for row, measurement in enumerate(self._measurements[first:]):
+            seen = np.flatnonzero(measurement.seen)
+            told_au[row, seen] = measurement.target_au[seen]
+        return told_au
+
+    def believed_au(self, first: int) -> FloatArray:
+        """`told_au` as far as it is believed by now, and where misses are seen through."""
+        return self._hindsight.believed_au(first) if self._hindsight else self.told_au(first)
+
+    def window(
+        self, span_au: float, num_targets: int | None = None, *, in_hindsight: bool = True
+    ) -> Window:
         """Observations younger than a span at the time of the last measurement.
 
-        num_targets: by default all that are known; more of them were never seen
+        num_targets:  by default all that are known; more of them were never seen
+        in_hindsight: as they are believed by now, not as they were told
         """
         num_targets = self.num_targets if num_targets is None else num_targets
         first = len(self)
         while first > 0 and self.time_au - self._measurements[first - 1].time_au < span_au:
             first -= 1
         recent = self._measurements[first:]
+        told_au = self.believed_au(first) if in_hindsight else self.told_au(first)
+        seen = ~np.isnan(told_au[..., 0]).T  # (K, n)
         points = np.zeros((num_targets, 1 + len(recent), 3))
         values = np.zeros(points.shape[:2])
         mask = np.ones(points.shape[:2], dtype=np.bool_)
         points[:, 1:, :2] = np.reshape([m.agent_au for m in recent], (-1, 2))
         points[:, 1:, 2] = [m.time_au for m in recent]
-        for column, measurement in enumerate(recent, start=1):
-            mask[:, column] = measurement.view_au >= LEAST_VIEW_AU
-            if measurement.seen.any():
-                seen = np.flatnonzero(measurement.seen)
-                points[seen, column, :2] = measurement.target_au[seen]
-                values[seen, column], mask[seen, column] = 1.0, True
+        mask[:, 1:] = [m.view_au >= LEAST_VIEW_AU for m in recent]
+        target, column = np.nonzero(seen)
+        points[target, 1 + column, :2] = told_au[column, target]
+        values[target, 1 + column], mask[target, 1 + column] = 1.0, True
         known = np.flatnonzero(self._has_prior)
         mask[:, 0] = False
         mask[known, 0] = self.time_au < span_au

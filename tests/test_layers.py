@@ -30,6 +30,7 @@ LAYERS = {
     "terminal": 0,
     "palette": 0,
     "outside": 0,
+    "hindsight": 0,
     "sightings": 0,
     "belief": 1,
     "roadmap": 1,
@@ -86,6 +87,7 @@ ORDER_IN_LAYER_0 = (
     "terminal",
     "palette",
     "outside",
+    "hindsight",
     "sightings",
 )
 ALLOWED = {3: {0}, 4: {0, 1, 2}, 5: {0, 1, 2, 3, 4, 5}}

@@ -22,13 +22,15 @@ from dronemon.arena import ARENA, Arena
 from dronemon.belief.gp import Posterior, fit
 from dronemon.belief.grid import EvaluationGrid, evaluation_grid
 from dronemon.belief.kernel import Matern32
+from dronemon.hindsight import Hindsight
 from dronemon.problem import (
     LOST_STD,
     PRESENCE_STD_AU,
     SENSOR_RADIUS_AU,
     Prior,
 )
-from dronemon.types import BoolArray, FloatArray
+from dronemon.sensor import PERFECT, Sensor
+from dronemon.types import BoolArray, FloatArray, Measurement
 
 _JSD_FLOOR = 1e-8
 _INSTANTS_AT_ONCE = 16
@@ -138,6 +140,7 @@ def episode_metrics(
     prior: Prior = "full",
     kernel: Matern32 | None = None,
     arena: Arena = ARENA,
+    sensor: Sensor = PERFECT,
 ) -> EpisodeMetrics:
     """Score the belief that a recorded episode led to, at every instant.
 
@@ -145,10 +148,11 @@ def episode_metrics(
     agent_au:   (S+1, 2)    au
     targets_au: (S+1, N, 2) au, true positions
     told_au:    (S+1, N, 2) au, where the target was said to be seen, NaN where not; 0 is ignored
+    sensor:     how the eye erred that said so
     """
     observed = _truly_seen(agent_au, targets_au, told_au)
     kernel = kernel if kernel is not None else Matern32()
-    history = _History.of(time_au, agent_au, targets_au, told_au, prior)
+    history = _History.of(time_au, agent_au, targets_au, told_au, prior, sensor, kernel.window_au)
     grid = evaluation_grid(arena)
     unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
     for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
@@ -194,14 +198,17 @@ def since_seen_au(time_au: FloatArray, observed: BoolArray) -> FloatArray:
 class _History:
     """A recorded episode as observations, so that any instant's window can be cut out of it.
 
-    time_au: (S+1,); targets_au: (S+1, N, 2); points: (S+1, N, 3) and values: (S+1, N), what each
-    instant told; is_known: (S+1, N) whether the target is believed in; has_prior: (N,).
+    time_au: (S+1,); agent_au: (S+1, 2); targets_au: (S+1, N, 2); told_au: (S+1, N, 2) what each
+    instant told, NaN where a target was not seen, the prior first; believed_au: (S+1, n, N, 2)
+    what each instant made of itself and those before it, none where the eye does not err;
+    is_known: (S+1, N) whether the target is believed in; has_prior: (N,).
     """
 
     time_au: Tensor
+    agent_au: Tensor
     targets_au: Tensor
-    points: Tensor
-    values: Tensor
+    told_au: Tensor
+    believed_au: Tensor | None
     is_known: Tensor
     has_prior: Tensor
 
@@ -213,19 +220,23 @@ class _History:
         targets_au: FloatArray,
         told_au: FloatArray,
         prior: Prior,
+        sensor: Sensor,
+        window_au: float,
     ) -> _History:
         """Read what each measurement told about each target; index 0 holds the prior."""
-        told_au = np.concatenate([targets_au[:1], told_au[1:]])
+        prior_au = targets_au[:1] if prior == "full" else np.full_like(targets_au[:1], np.nan)
+        told_au = np.concatenate([prior_au, told_au[1:]])
         seen = ~np.isnan(told_au[..., 0])
-        seen[0] = prior == "full"
         known = np.maximum.accumulate(seen, axis=0) | (prior == "number")
-        place = np.where(seen[..., None], told_au, agent_au[:, None])
-        time = np.broadcast_to(time_au[:, None, None], (*seen.shape, 1))
+        begin = np.searchsorted(time_au, time_au - window_au)
+        width = int((np.arange(len(time_au)) - begin).max()) + 1
+        believed_au = _believed(time_au, agent_au, told_au, sensor, width)
         return cls(
             time_au=torch.as_tensor(time_au),
+            agent_au=torch.as_tensor(agent_au),
             targets_au=torch.as_tensor(targets_au),
-            points=torch.as_tensor(np.concatenate([place, time], axis=-1)),
-            values=torch.as_tensor(seen, dtype=torch.float64),
+            told_au=torch.as_tensor(told_au),
+            believed_au=None if believed_au is None else torch.as_tensor(believed_au),
             is_known=torch.as_tensor(known),
             has_prior=torch.as_tensor(seen[0]),
         )
@@ -243,5 +254,36 @@ class _History:
         index = index.clamp_min(0)
         is_real = (index > 0)[:, None] | self.has_prior[:, None]  # (T, N, n)
         mask = counts[:, None] & is_real & self.is_known[instants][..., None]
-        points, values = self.points[index].transpose(1, 2), self.values[index].transpose(1, 2)
-        return points, values, mask
+        if self.believed_au is None:
+            told_au = self.told_au[index]
+        else:
+            told_au = self.believed_au[instants, :width]
+        seen = ~told_au[..., 0].isnan()  # (T, n, N)
+        place = torch.where(seen[..., None], told_au, self.agent_au[index][:, :, None])
+        time = self.time_au[index][..., None, None].expand_as(place[..., :1])
+        points = torch.cat([place, time], dim=-1).transpose(1, 2)
+        return points, seen.transpose(1, 2).to(points.dtype), mask
+
+
+def _believed(
+    time_au: FloatArray, agent_au: FloatArray, told_au: FloatArray, sensor: Sensor, width: int
+) -> FloatArray | None:
+    """What each instant made of itself and those before it. -> (S+1, width, N, 2), newest first"""
+    if not sensor.needs_hindsight:
+        return None
+    hindsight = Hindsight(sensor, told_au[0])
+    believed_au = np.full((len(told_au), width, *told_au.shape[1:]), np.nan)
+    believed_au[0, 0] = told_au[0]
+    for now in range(1, len(told_au)):
+        look = Measurement(
+            time_au=float(time_au[now]),
+            agent_au=agent_au[now],
+            seen=~np.isnan(told_au[now, :, 0]),
+            target_au=told_au[now],
+        )
+        hindsight.add(look)
+        first = max(0, now - width)
+        believed_au[now, : now - first] = hindsight.believed_au(first)[::-1]
+        if now < width:
+            believed_au[now, now] = told_au[0]
+    return believed_au

@@ -72,6 +72,7 @@ class Episode:
             self.told_au,
             prior=self.conditions.prior,
             arena=self.arena,
+            sensor=self.conditions.sensor,
         )
 
 
@@ -132,7 +133,7 @@ class _Agent:
         self._node: int | None = 0  # the roadmap's first node is the start
         self._told_au = [np.full_like(self._targets_au[0], np.nan)]
         self._roster = Roster(told, self._targets_au[0])
-        self._sightings = Sightings(self._roster.priors_au)
+        self._sightings = Sightings(self._roster.priors_au, conditions.sensor)
         self._belief = Belief(self._sightings)
 
     def brief(self, rng: np.random.Generator) -> Briefing:

@@ -231,10 +231,10 @@ def _draw_beliefs(part: SubFigure, grid: GridSpec, episode: Episode, instant: in
 
 def believe(episode: Episode, instant: int) -> FloatArray:
     """Mean of every target's belief at one measurement. -> (N, 40, 40), x first."""
-    first_au = episode.targets_au[0]
-    is_placed = episode.conditions.prior == "full"
-    sightings = Sightings(first_au if is_placed else np.full_like(first_au, np.nan))
-    times_au = episode.conditions.times_au
+    first_au, conditions = episode.targets_au[0], episode.conditions
+    priors_au = first_au if conditions.prior == "full" else np.full_like(first_au, np.nan)
+    sightings = Sightings(priors_au, conditions.sensor)
+    times_au = conditions.times_au
     for index in range(1, instant + 1):
         told_au = episode.told_au[index]
         sightings.add(

@@ -102,7 +102,7 @@ def begin_anew(
             f"{made[-1].num_measurements} pictures, of which {num_recorded} are recorded"
         )
     start_au, roadmap = draw_start_and_roadmap(mission)
-    belief = make_belief(mission, Sightings(decisions.priors_au))
+    belief = make_belief(mission, Sightings(decisions.priors_au, mission.sensor.model))
     sightings = belief.sightings
     with blaming(f"planner '{planner.name}'", PlannerError):
         planner.reset(brief(mission, decisions.priors_au, start_au, stream="planner"), roadmap)

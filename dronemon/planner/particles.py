@@ -35,8 +35,6 @@ _MOST_MISSES = 64
 _APART_AU = 0.35
 """Time between two sights from which they are of two visits."""
 _VIEW_AU2 = math.pi * SENSOR_RADIUS_AU**2
-_OTHERS_SEEN = 0.2
-"""Targets that a picture shows, about, and that may be taken for another."""
 _ASTRAY = 0.05
 """Density per au^2 of a target where no particle is."""
 _FEW = 0.15
@@ -215,7 +213,7 @@ class ParticleBelief:
     def _trust(self, index: int, sight: Sight, agent_au: FloatArray) -> float:
         """Chance that a target truly is where it is said to be seen."""
         sensor, target = self._sensor, self.targets[index]
-        false = sensor.false_alarms + _OTHERS_SEEN * sensor.confusion
+        false = sensor.false_sights
         if false == 0.0:
             return 1.0
         places = target.walkers[:, :2]

@@ -144,7 +144,8 @@ class SearchPlanner:
         """
         num_targets, num_each = now_au.shape[:2]
         first = np.arange(num_targets + 1) * num_each
-        window = snapshot.sightings.window(WINDOW_AU, num_targets)
+        # A guess where a missed target was is not a look at it: who plans by it loses it.
+        window = snapshot.sightings.window(WINDOW_AU, num_targets, in_hindsight=False)
         probe_age = np.empty((num_targets * num_each, 4), dtype=np.int32)
         scoring.probe_ages(
             np.ascontiguousarray(now_au.reshape(-1, 2)),

@@ -227,7 +227,7 @@ def _read(folder: RunFolder, mission: Mission, priors_au: FloatArray) -> History
     control = [event["kind"] for event in events if event["kind"] in _CONTROL]
     tally = None
     if newest.start_s is not None and laid is not None:
-        tally = Tally(start_s=newest.start_s, sightings=Sightings(priors_au))
+        tally = Tally(start_s=newest.start_s, sightings=Sightings(priors_au, mission.sensor.model))
         tally.decision_ms.extend(decision["decision_ms"] for decision in decisions)
         _recall(tally, folder, laid.frame, [target.name for target in mission.targets])
         tally.num_before = len(tally.sightings)
@@ -270,7 +270,8 @@ def recorded(folder: RunFolder, mission: Mission) -> tuple[Sightings, list[Measu
         raise RecordError(f"{folder.path}: its patrol never began: nothing is there to tell")
     names = [target.name for target in mission.targets]
     measurements = [measurement_of(line, names) for line in folder.observations()]
-    return Sightings(np.array(began["priors_au"], dtype=np.float64)), measurements
+    priors_au = np.array(began["priors_au"], dtype=np.float64)
+    return Sightings(priors_au, mission.sensor.model), measurements
 
 
 def _recall(tally: Tally, folder: RunFolder, frame: AreaFrame, names: list[str]) -> None:

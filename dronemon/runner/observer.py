@@ -64,7 +64,9 @@ class Observer:
         self._due = asyncio.Event()
         self._is_taking = False
         self.tally = tally
-        sightings = tally.sightings if tally else Sightings(setup.priors_au)
+        sightings = (
+            tally.sightings if tally else Sightings(setup.priors_au, self._mission.sensor.model)
+        )
         home, origin = self._link.state.home, self._link.state.origin
         assert home is not None  # wait_ready waited for both
         assert origin is not None

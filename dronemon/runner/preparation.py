@@ -115,7 +115,7 @@ def _rehearse(mission: Mission, detector: Detector, planner: Planner) -> None:
         seen=np.zeros(num_targets, dtype=np.bool_),
         target_au=np.full((num_targets, 2), np.nan),
     )
-    belief = make_belief(mission, Sightings(priors_au))
+    belief = make_belief(mission, Sightings(priors_au, mission.sensor.model))
     belief.sightings.add(measurement)
     with _belief_compiled_beside():
         try_detector(mission, detector)

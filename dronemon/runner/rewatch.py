@@ -52,7 +52,7 @@ class Rewatch:
         Raises CameraError where no picture was taken over the mission's area.
         """
         self.time_s = 0.0
-        self.tally = Tally(start_s=0.0, sightings=Sightings(priors_au))
+        self.tally = Tally(start_s=0.0, sightings=Sightings(priors_au, mission.sensor.model))
         self.num_blind = 0
         self.took_s: list[float] = []
         self._mission, self._pictures, self._home = mission, pictures, home

@@ -181,7 +181,7 @@ def _score(tally: Tally, known: tuple[FloatArray, Identities] | None, mission: M
     if known is None:
         return Score()
     sightings, (true_au, identities) = tally.sightings, known
-    replayed = Sightings(sightings.priors_au)
+    replayed = Sightings(sightings.priors_au, sightings.sensor)
     belief = Belief(replayed, mission_kernel(mission))
     grid = evaluation_grid(mission_arena(mission))
     unc, jsd = [], []

@@ -26,6 +26,7 @@ from dronemon.events import Event, Measured, Noted
 from dronemon.guard import Advice, Reason, Situation
 from dronemon.runner import supervisor
 from dronemon.runner.flight import DOWN, NOT_STARTED
+from dronemon.sensor import Sensor
 from dronemon.vehicle import Mode
 
 
@@ -37,6 +38,12 @@ def test_the_whole_story(flight):
     assert flight.record.kinds == story
     assert flight.view.events == flight.record.events
     assert {Reason.GO_ON, Reason.HORIZON, Reason.HOME} <= flight.reasons
+
+
+def test_beliefs_know_how_the_eye_errs(flight):
+    flight.mission_text += "sensor: {miss: 0.1, false_alarms: 0.05}\n"
+    tally = flight.fly().tally
+    assert tally.sightings.sensor == Sensor(miss=0.1, false_alarms=0.05)
 
 
 def test_an_interrupt_before_take_off_flies_nothing(flight):
