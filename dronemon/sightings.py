@@ -176,8 +176,9 @@ class Sightings:
         """
         told_au = np.full((len(self) - first, self.num_targets, 2), np.nan)
         for row, measurement in enumerate(self._measurements[first:]):
-            seen = np.flatnonzero(measurement.seen)
-            told_au[row, seen] = measurement.target_au[seen]
+            if measurement.seen.any():
+                seen = np.flatnonzero(measurement.seen)
+                told_au[row, seen] = measurement.target_au[seen]
         return told_au
 
     def believed_au(self, first: int) -> FloatArray:

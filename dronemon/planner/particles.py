@@ -156,10 +156,7 @@ class ParticleBelief:
             return
         self.time_au = time_au
         for target in self.targets:
-            self._walk(target.walkers, duration)
-
-    def _walk(self, walkers: FloatArray, duration_au: float) -> None:
-        walking.walk(walkers, duration_au, self.kinds.table, self._walls, self._rng)
+            walking.walk(target.walkers, duration, self.kinds.table, self._walls, self._rng)
 
     def futures(
         self, num_particles: int, num_steps: int, interval_au: float
@@ -170,11 +167,9 @@ class ParticleBelief:
         walkers = np.concatenate([target.walkers[:count] for target in self.targets])
         shape = (len(self.targets), count, 2)
         now = walkers[:, :2].reshape(shape).copy()
-        later = np.empty((num_steps, *shape))
-        for step in range(num_steps):
-            self._walk(walkers, interval_au)
-            later[step] = walkers[:, :2].reshape(shape)
-        return now, later
+        later = np.empty((num_steps, len(walkers), 2))
+        walking.walk_ahead(walkers, interval_au, self.kinds.table, self._walls, self._rng, later)
+        return now, later.reshape(num_steps, *shape)
 
     def learn(self, sightings: Sightings) -> None:
         """Take in what the log holds since the last time, target by target that joined, too."""
@@ -248,6 +243,8 @@ class ParticleBelief:
         walkers, trail_au = target.walkers, self._old_trail(target)
         doubts = walking.doubts(walkers, trail_au, self._motion.trail_radius_au, self.kinds.table)
         is_lost = self._rng.random(len(doubts)) < doubts
+        if not is_lost.any():
+            return
         for kind in np.unique(walkers[is_lost, KIND]):
             is_own = walkers[:, KIND] == kind
             left, lost = np.flatnonzero(is_own & ~is_lost), np.flatnonzero(is_own & is_lost)
@@ -363,7 +360,9 @@ class ParticleBelief:
     def _copy_survivors(self, index: int, lost: IntArray) -> None:
         """Replace particles by survivors, or by anything in the arena if there are none."""
         target = self.targets[index]
-        survivors = np.setdiff1d(np.arange(self._motion.num_particles), lost)
+        is_left = np.ones(self._motion.num_particles, dtype=np.bool_)
+        is_left[lost] = False
+        survivors = np.flatnonzero(is_left)
         if len(survivors):
             target.walkers[lost] = target.walkers[self._rng.choice(survivors, len(lost))]
         else:

@@ -217,8 +217,9 @@ def score(path, forecast, tables, probe, sight, squared):  # type: ignore[no-unt
                     gain += tables.known[min(sight[p] + passed, OLDEST)] - cleared
                     sight[p] = -passed
                 elif squared[p] < _NEAR:
-                    presence = math.exp(np.float32(-0.5 / PRESENCE_STD_AU**2) * squared[p])
-                    gain -= np.float32(2.0) * shape_worth * mean * presence
+                    if mean > 0.0:
+                        presence = math.exp(np.float32(-0.5 / PRESENCE_STD_AU**2) * squared[p])
+                        gain -= np.float32(2.0) * shape_worth * mean * presence
                     dx, dy = forecast.x[k, p] - ax, forecast.y[k, p] - ay
                     for q in range(4):
                         qx = dx + (rho if q == 0 else (-rho if q == 1 else np.float32(0.0)))

@@ -122,6 +122,18 @@ def walk(walkers, duration, kinds, walls, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
+def walk_ahead(walkers, duration, kinds, walls, rng, places_au):  # type: ignore[no-untyped-def]
+    """Walk particles on, in place, as often as there are rows to write their places to.
+
+    walkers: (M, NUM_ROWS); duration: au, of each time; places_au: (H, M, 2) written
+    """
+    for step in range(places_au.shape[0]):
+        for j in range(walkers.shape[0]):
+            _step(walkers[j], duration, kinds, walls, rng)
+            places_au[step, j, 0], places_au[step, j, 1] = walkers[j, X], walkers[j, Y]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
 def doubts(walkers, old_trail_au, trail_radius_au, kinds):  # type: ignore[no-untyped-def]
     """Doubt of each particle for being near its target's own trail. -> (M,)
 
