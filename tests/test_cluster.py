@@ -379,12 +379,15 @@ def test_a_run_on_a_ray_of_our_own_that_is_terminated_keeps_what_it_has(tmp_path
             stdout=pipe,
             stderr=subprocess.STDOUT,
         )
-        lines = run / "results.jsonl"
-        while not (lines.exists() and lines.read_bytes().count(b"\n") >= 2):
-            assert process.poll() is None, told.read_text()
-            time.sleep(0.1)
-        process.terminate()
-        assert process.wait(60.0) == 130, told.read_text()
+        try:
+            lines = run / "results.jsonl"
+            while not (lines.exists() and lines.read_bytes().count(b"\n") >= 2):
+                assert process.poll() is None, told.read_text()
+                time.sleep(0.1)
+            process.terminate()
+            assert process.wait(60.0) == 130, told.read_text()
+        finally:
+            process.kill()
     assert "stopped; finished episodes are in" in told.read_text()
     Path(own).rmdir()  # nothing is left in it
 
