@@ -1,10 +1,12 @@
 """What an eye that errs is believed to have seen, in the light of all that it has said since.
 
 Of a target's sights those are believed that make its likeliest story: a walk at one speed from one
-to the next, with the rest false alarms and the pictures between at odds with it misses. So a false
-alarm is forgotten once the target is seen where it could not have come to from there, and a target
-that was missed is taken to have been on its way. Every target has its own story. For each of some
-speeds the best is kept sight by sight (Viterbi's algorithm), and of these the likeliest counts.
+to the next, with the rest false alarms and the pictures at odds with it misses. So a false alarm is
+taken back once the target is seen where it could not have come to from there, and a target that was
+missed is taken to have been on its way, or, since its last sight, where that was. Every target has
+its own story. For each of some speeds the best is kept sight by sight (Viterbi's algorithm), and of
+these the likeliest counts. Where something hides a part of the view, only what is nearer to the
+drone than that counts as looked at.
 
 The paper's sensor needs none.
 """
@@ -19,7 +21,7 @@ from dronemon.problem import SENSOR_RADIUS_AU
 from dronemon.sensor import Sensor
 from dronemon.types import FloatArray, IntArray, Measurement
 
-_SPEEDS = np.geomspace(0.03, 0.3, 7)
+_SPEEDS = np.geomspace(0.03, 1.0, 10)
 """Over the agent's."""
 _REACH, _REACH_AU = 1.1, 0.008
 """How much further than at its speed a target may have come: a factor, and a length."""
@@ -28,8 +30,10 @@ _BEYOND_AU = 0.01
 _NO_CHANCE = -30.0
 _STRAYING_AU = 0.004
 """Radius about where a target is taken to be at once after a sight."""
-_MOST_SIGHTS = 24
-"""Latest sights that the next one may follow."""
+_MOST_SIGHTS, _OLDEST_AU = 24, 12.0
+"""Latest sights that tell where the next one may be, and their age up to which they do."""
+_LEAST_FALSE = 1e-9
+"""False sights in a picture, at least: stories must be able to differ."""
 _SEEN_THROUGH = 0.25
 """Chance of having been in view from which on a target missed is believed to have been."""
 
@@ -43,16 +47,18 @@ class Hindsight:
         self._looks = np.empty((0, 4))  # time, x, y, radius of what was looked at
         self._stories = [_Story(sensor, prior_au) for prior_au in priors_au]
 
-    def add(self, measurement: Measurement) -> None:
-        """Take in what the sensor said of every target; new ones join."""
+    def add(self, measurement: Measurement, num_known: int | None = None) -> None:
+        """Take in what the sensor said of every target; new ones join.
+
+        num_known: of these, how many are known of, and share false alarms; by default all
+        """
         look = [measurement.time_au, *measurement.agent_au, measurement.view_au]
         self._looks = np.concatenate([self._looks, [look]])
         joined = len(measurement.seen) - len(self._stories)
         self._stories += [_Story(self._sensor, np.full(2, np.nan)) for _ in range(joined)]
-        num_targets = len(self._stories)
-        density = (
-            max(self._sensor.false_sights, 1e-9) / num_targets / (math.pi * SENSOR_RADIUS_AU**2)
-        )
+        num_known = len(self._stories) if num_known is None else num_known
+        false = max(self._sensor.false_sights, _LEAST_FALSE) / max(num_known, 1)
+        density = false / (math.pi * SENSOR_RADIUS_AU**2)
         for target, story in enumerate(self._stories):
             is_seen = measurement.seen[target]
             story.add(self._looks, measurement.target_au[target] if is_seen else None, density)
@@ -67,6 +73,10 @@ class Hindsight:
             story.tell(self._looks, first, told_au[:, target])
         return told_au
 
+    def sights(self) -> list[FloatArray]:
+        """Time and place of each target's sights that are believed, a prior first. -> (S, 3) au"""
+        return [story.sights for story in self._stories]
+
 
 class _Story:
     """What may have become of one target, for each of V speeds.
@@ -79,6 +89,7 @@ class _Story:
     """
 
     def __init__(self, sensor: Sensor, prior_au: FloatArray) -> None:
+        self._untold = sensor.untold
         self._found = min(1.0 - sensor.untold, 0.999)
         self._blur_au = sensor.position_au
         width = len(_SPEEDS)
@@ -111,11 +122,16 @@ class _Story:
 
     def _follow(self, looks: FloatArray, seen_au: FloatArray) -> tuple[FloatArray, IntArray]:
         """Score the best story with a new sight; the one that it follows. -> (V,), (V,)"""
-        offset = max(0, len(self._sights) - _MOST_SIGHTS)
-        scores = np.full((1, len(_SPEEDS)), self._all_false)
-        if len(self._sights):
+        now = np.array([looks[-1, 0], *seen_au])
+        count = len(self._sights)
+        young = int(np.searchsorted(self._sights[:, 0], now[0] - _OLDEST_AU))
+        offset = max(count - _MOST_SIGHTS, young, 0)
+        # It may be anywhere if no sight is believed, or none that tells where it may be.
+        ends = np.full((1 + offset, len(_SPEEDS)), self._all_false)
+        ends[1:] = self._score[:offset] + self._since[:offset]
+        scores = ends.max(axis=0)[None]
+        if offset < count:
             sights, at = self._sights[offset:, None], self._at[offset:, None]  # (S, 1, 3), (S, 1)
-            now = np.array([looks[-1, 0], *seen_au])
             reach = self._reach(now[0] - sights[..., 0], _SPEEDS)  # (S, V)
             came = np.hypot(now[1] - sights[..., 1], now[2] - sights[..., 2])
             beyond = np.maximum(came - reach, 0.0) / _BEYOND_AU
@@ -124,22 +140,17 @@ class _Story:
             between = looks[passed, None]  # (L, 1, 4)
             place_au, aside_au = _walked(sights[:, None], now, reach[:, None], between[..., 0])
             share = _share_in_view(place_au, _STRAYING_AU + aside_au, between)  # (S, L, V)
-            missed = self._missed(share)
-            missed = np.where((passed > at)[..., None], missed, 0.0).sum(axis=1)
+            missed = np.where((passed > at)[..., None], self._missed(share), 0.0).sum(axis=1)
             scores = np.concatenate([scores, self._score[offset:] + arrival + missed])
         best = scores.argmax(axis=0)
-        before = np.where(best == 0, -1, best - 1 + offset)
+        before = np.where(best == 0, ends.argmax(axis=0) - 1, best - 1 + offset)
         return scores.max(axis=0) + math.log(self._found), before
 
     def tell(self, looks: FloatArray, first: int, told_au: FloatArray) -> None:
         """Write where the likeliest story has the target seen. told_au: (n, 2) of looks[first:]"""
-        ends = self._score + self._since
-        if not len(ends) or ends.max() < self._all_false:
+        story, of = self._likeliest(first)
+        if not story:
             return
-        last, of = (int(index) for index in np.unravel_index(ends.argmax(), ends.shape))
-        story = [last]
-        while self._at[story[0]] >= first and self._before[story[0], of] >= 0:
-            story.insert(0, int(self._before[story[0], of]))
         sights, at = self._sights[story], self._at[story]
         told_au[at[at >= first] - first] = sights[at >= first, 1:]
         missed = np.setdiff1d(np.arange(max(first, at[0] + 1), len(looks)), at)
@@ -150,12 +161,28 @@ class _Story:
         reach_au = self._reach(following[:, 0] - then[:, 0], speed)
         place_au, aside_au = _walked(then, following, reach_au, time_au)
         is_since = after == len(at)
-        place_au[is_since] = then[is_since, 1:]
         aside_au[is_since] = speed * (time_au - then[:, 0])[is_since]
         share = _share_in_view(place_au, _STRAYING_AU + aside_au, looks[missed])
-        share = share * (1.0 - self._found) / (1.0 - self._found * share)
+        share = share * self._untold / (1.0 - (1.0 - self._untold) * share + 1e-9)
         is_seen = share > _SEEN_THROUGH
         told_au[missed[is_seen] - first] = place_au[is_seen]
+
+    @property
+    def sights(self) -> FloatArray:
+        """Those of the likeliest story, a prior first. -> (S, 3)"""
+        sights: FloatArray = self._sights[self._likeliest(0)[0]]
+        return sights
+
+    def _likeliest(self, first: int) -> tuple[list[int], int]:
+        """Sights of the likeliest story, from the last before a look on, and which speed it has."""
+        ends = self._score + self._since
+        if not len(ends) or ends.max() < self._all_false:
+            return [], 0
+        last, of = (int(index) for index in np.unravel_index(ends.argmax(), ends.shape))
+        story = [last]
+        while self._at[story[-1]] >= first and self._before[story[-1], of] >= 0:
+            story.append(int(self._before[story[-1], of]))
+        return story[::-1], of
 
     def _reach(self, duration_au: FloatArray, speed: FloatArray | float) -> FloatArray:
         """How far a target may have come."""

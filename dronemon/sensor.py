@@ -1,4 +1,4 @@
-"""How the eye errs: what the world makes of it, and what planners make of its word.
+"""How the eye errs: what the world makes of it, and what beliefs and planners make of its word.
 
 The paper's sensor never errs.
 """
@@ -45,7 +45,7 @@ class Sensor:
 
     @property
     def needs_hindsight(self) -> bool:
-        """Whether what it says of a picture may have to be taken back."""
+        """Whether what it says of a picture may have to be taken back, or seen through."""
         return self.untold > 0.0 or self.false_sights > 0.0
 
     @property

@@ -26,7 +26,7 @@ class Window(NamedTuple):
     """What a Gaussian process of each target is given. Column 0 is the prior, then oldest first.
 
     points: (N, n, 3) float64 au x, y, t: the target's place where seen, the agent's where not
-    values: (N, n)    float64 1 where seen, 0 where not
+    values: (N, n)    float64 1 where seen, as far as that is believed, 0 where not
     mask:   (N, n)    bool    whether there is such an observation; of a target not seen there is
                               none where less than half of the sensor's radius was looked at
 
@@ -67,7 +67,8 @@ def is_in_view(look: Measurement, places_au: FloatArray) -> BoolArray:
 class Sightings:
     """Grows by a measurement at a time; index i always means the same target.
 
-    A measurement of more targets than before lets these join: earlier ones did not see them.
+    A measurement of more targets than before lets these join: earlier ones did not see them. Where
+    the eye errs, seen is what is believed to have been by now: see `dronemon.hindsight`.
     """
 
     def __init__(self, priors_au: FloatArray, sensor: Sensor = PERFECT) -> None:
@@ -79,6 +80,7 @@ class Sightings:
         self.sensor = sensor
         priors_au = priors_au.reshape(-1, 2)
         self._hindsight = Hindsight(sensor, priors_au) if sensor.needs_hindsight else None
+        self._believed: list[list[Sight]] | None = None
         self._measurements: list[Measurement] = []
         self._sights: list[list[Sight]] = [
             [] if np.isnan(prior_au).any() else [Sight(0.0, *prior_au.tolist())]
@@ -101,21 +103,32 @@ class Sightings:
         return self._measurements[-1].time_au if self._measurements else 0.0
 
     @property
+    def _believed_sights(self) -> Sequence[Sequence[Sight]]:
+        """Of each target, as far as they are believed by now."""
+        if self._hindsight is None:
+            return self._sights
+        if self._believed is None:
+            all_sights = self._hindsight.sights()
+            self._believed = [[Sight(*row) for row in rows.tolist()] for rows in all_sights]
+        return self._believed
+
+    @property
     def last_seen_au(self) -> FloatArray:
         """(N,) float64 au when each target was last seen, a prior counted; -inf if never."""
-        return np.array([sights[-1].time_au if sights else -math.inf for sights in self._sights])
+        return np.array([s[-1].time_au if s else -math.inf for s in self._believed_sights])
 
     @property
     def last_places_au(self) -> FloatArray:
         """(N, 2) float64 au where each target was last seen, a prior counted; NaN if never."""
         nowhere = (math.nan, math.nan)
-        places = [sights[-1][1:] if sights else nowhere for sights in self._sights]
+        places = [sights[-1][1:] if sights else nowhere for sights in self._believed_sights]
         return np.array(places, dtype=np.float64).reshape(-1, 2)
 
     @property
     def num_seen(self) -> list[int]:
         """Measurements that saw each target."""
-        return [len(s) - int(p) for s, p in zip(self._sights, self._has_prior, strict=True)]
+        sights, has_prior = self._believed_sights, self._has_prior
+        return [len(s) - int(p) for s, p in zip(sights, has_prior, strict=True)]
 
     @property
     def _has_prior(self) -> BoolArray:
@@ -138,6 +151,7 @@ class Sightings:
             self._sights[target].append(Sight(measurement.time_au, x_au, y_au))
         if self._hindsight:
             self._hindsight.add(measurement)
+            self._believed = None
 
     def _check(self, measurement: Measurement) -> None:
         seen, target_au = measurement.seen, measurement.target_au
@@ -161,9 +175,9 @@ class Sightings:
         """All measurements after the first `count`, oldest first."""
         return self._measurements[count:]
 
-    def sights(self, target: int, before_au: float, most: int) -> list[Sight]:
+    def sights(self, target: int, before_au: float, most: int) -> Sequence[Sight]:
         """The latest sights of a target before a time, oldest first; a prior is the first."""
-        sights = self._sights[target] if target < self.num_targets else []
+        sights = self._believed_sights[target] if target < self.num_targets else []
         end = len(sights)
         while end > 0 and sights[end - 1].time_au >= before_au:
             end -= 1

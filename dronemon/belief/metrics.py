@@ -12,6 +12,7 @@ Source: paper, sections IV-A.3 and V-A.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -230,7 +231,8 @@ class _History:
         known = np.maximum.accumulate(seen, axis=0) | (prior == "number")
         begin = np.searchsorted(time_au, time_au - window_au)
         width = int((np.arange(len(time_au)) - begin).max()) + 1
-        believed_au = _believed(time_au, agent_au, told_au, sensor, width)
+        num_known = known.sum(axis=1).tolist()
+        believed_au = _believed(time_au, agent_au, told_au, num_known, sensor, width)
         return cls(
             time_au=torch.as_tensor(time_au),
             agent_au=torch.as_tensor(agent_au),
@@ -266,7 +268,12 @@ class _History:
 
 
 def _believed(
-    time_au: FloatArray, agent_au: FloatArray, told_au: FloatArray, sensor: Sensor, width: int
+    time_au: FloatArray,
+    agent_au: FloatArray,
+    told_au: FloatArray,
+    num_known: Sequence[int],
+    sensor: Sensor,
+    width: int,
 ) -> FloatArray | None:
     """What each instant made of itself and those before it. -> (S+1, width, N, 2), newest first"""
     if not sensor.needs_hindsight:
@@ -281,7 +288,7 @@ def _believed(
             seen=~np.isnan(told_au[now, :, 0]),
             target_au=told_au[now],
         )
-        hindsight.add(look)
+        hindsight.add(look, num_known[now])
         first = max(0, now - width)
         believed_au[now, : now - first] = hindsight.believed_au(first)[::-1]
         if now < width:

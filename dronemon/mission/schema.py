@@ -165,7 +165,7 @@ class Sensor(Section):
 
     @property
     def model(self) -> SensorModel:
-        """What planners take."""
+        """What beliefs and planners take."""
         return SensorModel(**self.model_dump())
 
 

@@ -78,12 +78,16 @@ class Lookout:
     def _read(self, sightings: Sightings) -> None:
         """Take in what was measured since the last time."""
         ahead = self.num_imagined
-        for measurement in sightings.since(self._num_read if self._has_tracks else len(sightings)):
-            self._tracks.widen(ahead + len(measurement.seen))
+        first = self._num_read if self._has_tracks else len(sightings)
+        believed_au = sightings.believed_au(first)
+        for measurement, places_au in zip(sightings.since(first), believed_au, strict=True):
+            known = len(measurement.seen)
+            seen = measurement.seen & ~np.isnan(places_au[:known, 0])
+            self._tracks.widen(ahead + known)
             self._tracks.add(
                 torch.tensor([measurement.time_au], dtype=torch.float64),
                 torch.as_tensor(measurement.agent_au)[None],
-                torch.as_tensor(np.pad(measurement.seen, (ahead, 0)))[None],
+                torch.as_tensor(np.pad(seen, (ahead, 0)))[None],
                 torch.as_tensor(np.pad(measurement.target_au, ((ahead, 0), (0, 0))))[None],
                 torch.ones(1, dtype=torch.bool),
                 measurement.view_au,

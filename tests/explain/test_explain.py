@@ -40,6 +40,7 @@ targets:
   - {name: Zuri, appearance: zebra}
 roadmap: {num_nodes: 40, num_neighbours: 6}
 planner: {kind: stamp, checkpoint: tiny.pt, history: 8}
+sensor: {miss: 0.3, false_alarms: 0.02}  # pictures change what was believed of earlier ones
 """
 PRIORS_AU = np.array([[0.4, 0.6], [np.nan, np.nan]])
 INTERRUPTED_AFTER = 7
