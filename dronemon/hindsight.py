@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.problem import SENSOR_AREA_AU2
 from dronemon.sensor import Sensor
 from dronemon.types import FloatArray, IntArray, Measurement
 
@@ -58,7 +58,7 @@ class Hindsight:
         self._stories += [_Story(self._sensor, np.full(2, np.nan)) for _ in range(joined)]
         num_known = len(self._stories) if num_known is None else num_known
         false = max(self._sensor.false_sights, _LEAST_FALSE) / max(num_known, 1)
-        density = false / (math.pi * SENSOR_RADIUS_AU**2)
+        density = false / SENSOR_AREA_AU2
         for target, story in enumerate(self._stories):
             is_seen = measurement.seen[target]
             story.add(self._looks, measurement.target_au[target] if is_seen else None, density)

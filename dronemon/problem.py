@@ -5,10 +5,12 @@ One au is the side of the paper's square, which is ten sensor radii.
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 SENSOR_RADIUS_AU = 0.1
 """Radius of the circular sensor footprint: a target strictly nearer is seen. Section III-B."""
+SENSOR_AREA_AU2 = math.pi * SENSOR_RADIUS_AU**2
 MEASUREMENT_INTERVAL_AU = 0.1
 """Distance flown between two measurements. Section IV-D."""
 LENGTH_SCALE_AU = 0.1

@@ -64,6 +64,12 @@ def is_in_view(look: Measurement, places_au: FloatArray) -> BoolArray:
     return is_shown & (away_au < SENSOR_RADIUS_AU)
 
 
+def told(time_au: float, agent_au: FloatArray, target_au: FloatArray) -> Measurement:
+    """A measurement by where each target was said to be seen. target_au: (N, 2), NaN where not."""
+    seen = ~np.isnan(target_au[:, 0])
+    return Measurement(time_au=time_au, agent_au=agent_au, seen=seen, target_au=target_au)
+
+
 class Sightings:
     """Grows by a measurement at a time; index i always means the same target.
 
@@ -183,11 +189,8 @@ class Sightings:
             end -= 1
         return sights[max(0, end - most) : end]
 
-    def told_au(self, first: int) -> FloatArray:
-        """Where each target was said to be seen by the measurements from one on.
-
-        -> (n, N, 2) au, NaN where it was not
-        """
+    def _told_au(self, first: int) -> FloatArray:
+        """Where each target was said to be seen by the measurements from one on, NaN where not."""
         told_au = np.full((len(self) - first, self.num_targets, 2), np.nan)
         for row, measurement in enumerate(self._measurements[first:]):
             if measurement.seen.any():
@@ -196,8 +199,11 @@ class Sightings:
         return told_au
 
     def believed_au(self, first: int) -> FloatArray:
-        """`told_au` as far as it is believed by now, and where misses are seen through."""
-        return self._hindsight.believed_au(first) if self._hindsight else self.told_au(first)
+        """Where each target was seen by the measurements from one on, as is believed by now.
+
+        -> (n, N, 2) au, NaN where it was not
+        """
+        return self._hindsight.believed_au(first) if self._hindsight else self._told_au(first)
 
     def window(
         self, span_au: float, num_targets: int | None = None, *, in_hindsight: bool = True
@@ -212,7 +218,7 @@ class Sightings:
         while first > 0 and self.time_au - self._measurements[first - 1].time_au < span_au:
             first -= 1
         recent = self._measurements[first:]
-        told_au = self.believed_au(first) if in_hindsight else self.told_au(first)
+        told_au = self.believed_au(first) if in_hindsight else self._told_au(first)
         seen = ~np.isnan(told_au[..., 0]).T  # (K, n)
         points = np.zeros((num_targets, 1 + len(recent), 3))
         values = np.zeros(points.shape[:2])

@@ -280,7 +280,7 @@ def test_what_is_scored_is_what_was_believed_in_flight(prior: Prior) -> None:
     last = max(windows)
     assert windows[last].points.shape[0] == 4, "all targets are known in the end"
     for now in sorted(windows)[30:]:
-        points, values, mask = (of[0].numpy() for of in scored.windows(torch.tensor([now]), 5.979))
+        points, values, mask = (of[0].numpy() for of in scored.windows(torch.tensor([now])))
         known = np.flatnonzero(mask.any(axis=1))
         got = sorted(_observations(points[i], values[i], mask[i]) for i in known)
         # In flight targets stand in the order in which they became known.

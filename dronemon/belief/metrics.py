@@ -12,7 +12,6 @@ Source: paper, sections IV-A.3 and V-A.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +30,8 @@ from dronemon.problem import (
     Prior,
 )
 from dronemon.sensor import PERFECT, Sensor
-from dronemon.types import BoolArray, FloatArray, Measurement
+from dronemon.sightings import told
+from dronemon.types import BoolArray, FloatArray
 
 _JSD_FLOOR = 1e-8
 _INSTANTS_AT_ONCE = 16
@@ -158,7 +158,7 @@ def episode_metrics(
     unc, jsd, error_au = (torch.empty(observed.shape, dtype=torch.float64) for _ in range(3))
     for start in range(0, len(time_au), _INSTANTS_AT_ONCE):
         block = torch.arange(start, min(start + _INSTANTS_AT_ONCE, len(time_au)))
-        posterior = fit(*history.windows(block, kernel.window_au), kernel=kernel)  # (block, N)
+        posterior = fit(*history.windows(block), kernel=kernel)  # (block, N)
         now_au, truth_au = history.time_au[block], history.targets_au[block]
         unc[block] = area_std(
             posterior, truth_au, now_au[:, None].expand(truth_au.shape[:-1]), grid
@@ -202,7 +202,8 @@ class _History:
     time_au: (S+1,); agent_au: (S+1, 2); targets_au: (S+1, N, 2); told_au: (S+1, N, 2) what each
     instant told, NaN where a target was not seen, the prior first; believed_au: (S+1, n, N, 2)
     what each instant made of itself and those before it, none where the eye does not err;
-    is_known: (S+1, N) whether the target is believed in; has_prior: (N,).
+    is_known: (S+1, N) whether the target is believed in; has_prior: (N,); window_au: how long an
+    instant counts.
     """
 
     time_au: Tensor
@@ -212,6 +213,7 @@ class _History:
     believed_au: Tensor | None
     is_known: Tensor
     has_prior: Tensor
+    window_au: float
 
     @classmethod
     def of(
@@ -229,10 +231,7 @@ class _History:
         told_au = np.concatenate([prior_au, told_au[1:]])
         seen = ~np.isnan(told_au[..., 0])
         known = np.maximum.accumulate(seen, axis=0) | (prior == "number")
-        begin = np.searchsorted(time_au, time_au - window_au)
-        width = int((np.arange(len(time_au)) - begin).max()) + 1
-        num_known = known.sum(axis=1).tolist()
-        believed_au = _believed(time_au, agent_au, told_au, num_known, sensor, width)
+        believed_au = _believed(time_au, agent_au, told_au, known, sensor, window_au)
         return cls(
             time_au=torch.as_tensor(time_au),
             agent_au=torch.as_tensor(agent_au),
@@ -241,18 +240,19 @@ class _History:
             believed_au=None if believed_au is None else torch.as_tensor(believed_au),
             is_known=torch.as_tensor(known),
             has_prior=torch.as_tensor(seen[0]),
+            window_au=window_au,
         )
 
-    def windows(self, instants: Tensor, window_au: float) -> tuple[Tensor, Tensor, Tensor]:
+    def windows(self, instants: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Observations that count at some instants.
 
         instants: (T,) -> points (T, N, n, 3), values (T, N, n), mask (T, N, n).
         """
-        begin = torch.searchsorted(self.time_au, self.time_au[instants] - window_au)
+        begin = torch.searchsorted(self.time_au, self.time_au[instants] - self.window_au)
         width = int((instants - begin).amax()) + 1
         index = instants[:, None] - torch.arange(width)  # (T, n), the newest first
         age_au = self.time_au[instants, None] - self.time_au[index.clamp_min(0)]
-        counts = (index >= 0) & (age_au < window_au)
+        counts = (index >= 0) & (age_au < self.window_au)
         index = index.clamp_min(0)
         is_real = (index > 0)[:, None] | self.has_prior[:, None]  # (T, N, n)
         mask = counts[:, None] & is_real & self.is_known[instants][..., None]
@@ -271,24 +271,21 @@ def _believed(
     time_au: FloatArray,
     agent_au: FloatArray,
     told_au: FloatArray,
-    num_known: Sequence[int],
+    known: BoolArray,
     sensor: Sensor,
-    width: int,
+    window_au: float,
 ) -> FloatArray | None:
-    """What each instant made of itself and those before it. -> (S+1, width, N, 2), newest first"""
+    """What each instant made of itself and those before it. -> (S+1, n, N, 2), newest first"""
     if not sensor.needs_hindsight:
         return None
+    begin = np.searchsorted(time_au, time_au - window_au)
+    width = int((np.arange(len(time_au)) - begin).max()) + 1
     hindsight = Hindsight(sensor, told_au[0])
     believed_au = np.full((len(told_au), width, *told_au.shape[1:]), np.nan)
     believed_au[0, 0] = told_au[0]
     for now in range(1, len(told_au)):
-        look = Measurement(
-            time_au=float(time_au[now]),
-            agent_au=agent_au[now],
-            seen=~np.isnan(told_au[now, :, 0]),
-            target_au=told_au[now],
-        )
-        hindsight.add(look, num_known[now])
+        look = told(float(time_au[now]), agent_au[now], told_au[now])
+        hindsight.add(look, int(known[now].sum()))
         first = max(0, now - width)
         believed_au[now, : now - first] = hindsight.believed_au(first)[::-1]
         if now < width:

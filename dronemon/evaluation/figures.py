@@ -26,8 +26,8 @@ from dronemon.evaluation.results import Result
 from dronemon.evaluation.sections import TABLE2_ROWS, Covered, published_table2
 from dronemon.evaluation.tables import Row, grouped
 from dronemon.problem import LOST_STD, MEASUREMENT_INTERVAL_AU, SENSOR_RADIUS_AU
-from dronemon.sightings import Sightings
-from dronemon.types import FloatArray, Measurement
+from dronemon.sightings import Sightings, told
+from dronemon.types import FloatArray
 
 COLOURS = colormaps["tab10"]
 MAX_COLUMNS = 5
@@ -236,15 +236,8 @@ def believe(episode: Episode, instant: int) -> FloatArray:
     sightings = Sightings(priors_au, conditions.sensor)
     times_au = conditions.times_au
     for index in range(1, instant + 1):
-        told_au = episode.told_au[index]
-        sightings.add(
-            Measurement(
-                time_au=float(times_au[index]),
-                agent_au=episode.agent_au[index],
-                seen=~np.isnan(told_au[:, 0]),
-                target_au=told_au,
-            )
-        )
+        agent_au, told_au = episode.agent_au[index], episode.told_au[index]
+        sightings.add(told(float(times_au[index]), agent_au, told_au))
     points_au = ARENA.grid(GRID_SIZE)
     now_au = np.full((len(points_au), 1), times_au[instant])
     mean = Belief(sightings).mean(np.concatenate([points_au, now_au], axis=1))

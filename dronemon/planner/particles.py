@@ -23,7 +23,7 @@ from dronemon.planner.moving import Walls
 from dronemon.planner.settings import MotionSettings
 from dronemon.planner.speeds import SpeedBelief
 from dronemon.planner.walking import CURVATURE, HEADING, KIND, RESTING, SPEED, Stops, X, Y
-from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.problem import SENSOR_AREA_AU2, SENSOR_RADIUS_AU
 from dronemon.sensor import PERFECT, Sensor
 from dronemon.sightings import Sight, Sightings
 from dronemon.types import FloatArray, IntArray, Measurement
@@ -34,7 +34,6 @@ _MOST_MISSES = 64
 """Misses since the last sight up to which particles are walked anew from there."""
 _APART_AU = 0.35
 """Time between two sights from which they are of two visits."""
-_VIEW_AU2 = math.pi * SENSOR_RADIUS_AU**2
 _ASTRAY = 0.05
 """Density per au^2 of a target where no particle is."""
 _FEW = 0.15
@@ -213,7 +212,9 @@ class ParticleBelief:
             return 1.0
         places = target.walkers[:, :2]
         in_view = np.linalg.norm(places - agent_au, axis=1) < SENSOR_RADIUS_AU
-        false *= (1.0 - (1.0 - sensor.untold) * in_view.mean()) / len(self.targets) / _VIEW_AU2
+        false *= (
+            (1.0 - (1.0 - sensor.untold) * in_view.mean()) / len(self.targets) / SENSOR_AREA_AU2
+        )
         since = sight.time_au - target.sights[-1].time_au if target.sights else 0.0
         width = 0.02 + 2.0 * sensor.position_au + 0.1 * self.speed.mean_of(index) * since
         squared = ((places - sight[1:]) ** 2).sum(axis=1)

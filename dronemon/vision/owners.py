@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import chndtr
 
 from dronemon.mission import Mission
-from dronemon.problem import SENSOR_RADIUS_AU
+from dronemon.problem import SENSOR_AREA_AU2, SENSOR_RADIUS_AU
 from dronemon.sightings import Sightings
 from dronemon.types import FloatArray, IntArray
 
@@ -177,9 +177,8 @@ def _density(at_au: FloatArray, spread_au: float, place_au: FloatArray | None) -
 
 def _in_view(spread_au: float, place_au: FloatArray | None, agent_au: FloatArray) -> float:
     """Chance that a target is in view."""
-    view = math.pi * SENSOR_RADIUS_AU**2
     if place_au is None:
-        return view
+        return SENSOR_AREA_AU2
     squared = float(((agent_au - place_au) ** 2).sum())
     inside = chndtr((SENSOR_RADIUS_AU / spread_au) ** 2, 2.0, squared / spread_au**2)
-    return (1.0 - _ANYWHERE) * float(inside) + _ANYWHERE * view
+    return (1.0 - _ANYWHERE) * float(inside) + _ANYWHERE * SENSOR_AREA_AU2
